@@ -27,17 +27,17 @@ impl Aabb {
     pub fn of(points: &[[f32; 3]]) -> Self {
         let mut aabb = Self::EMPTY;
         for point in points {
-            for axis in 0..3 {
-                // `min` would drop a NaN; here it has to survive until `is_finite`.
-                if point[axis].is_nan() {
-                    return Self {
-                        low: [f32::NAN; 3],
-                        high: [f32::NAN; 3],
-                    };
-                }
-                aabb.low[axis] = aabb.low[axis].min(point[axis]);
-                aabb.high[axis] = aabb.high[axis].max(point[axis]);
+            // `min` would drop a NaN; here it has to survive until `is_finite`.
+            if point.iter().any(|x| x.is_nan()) {
+                return Self {
+                    low: [f32::NAN; 3],
+                    high: [f32::NAN; 3],
+                };
             }
+            aabb = aabb.union(&Self {
+                low: *point,
+                high: *point,
+            });
         }
         aabb
     }

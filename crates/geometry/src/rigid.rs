@@ -165,27 +165,15 @@ pub fn quaternion_from_matrix(m: &Matrix3) -> [f64; 4] {
 
 /// Quaternion of the rotation that maximises tr(R · covariance).
 fn horn_quaternion(s: Matrix3) -> [f64; 4] {
+    let (x, y, z) = (s[1][2] - s[2][1], s[2][0] - s[0][2], s[0][1] - s[1][0]);
+    let (xy, xz, yz) = (s[0][1] + s[1][0], s[2][0] + s[0][2], s[1][2] + s[2][1]);
+    let (xx, yy, zz) = (s[0][0], s[1][1], s[2][2]);
     let mut n = [
-        [
-            s[0][0] + s[1][1] + s[2][2],
-            s[1][2] - s[2][1],
-            s[2][0] - s[0][2],
-            s[0][1] - s[1][0],
-        ],
-        [
-            0.0,
-            s[0][0] - s[1][1] - s[2][2],
-            s[0][1] + s[1][0],
-            s[2][0] + s[0][2],
-        ],
-        [0.0, 0.0, s[1][1] - s[0][0] - s[2][2], s[1][2] + s[2][1]],
-        [0.0, 0.0, 0.0, s[2][2] - s[0][0] - s[1][1]],
+        [xx + yy + zz, x, y, z],
+        [x, xx - yy - zz, xy, xz],
+        [y, xy, yy - xx - zz, yz],
+        [z, xz, yz, zz - xx - yy],
     ];
-    for i in 0..4 {
-        for j in 0..i {
-            n[i][j] = n[j][i];
-        }
-    }
     let mut vectors = [[0.0; 4]; 4]; // columns
     for (i, row) in vectors.iter_mut().enumerate() {
         row[i] = 1.0;
@@ -222,12 +210,10 @@ fn jacobi_rotation(n: &mut [[f64; 4]; 4], vectors: &mut [[f64; 4]; 4], p: usize,
     for row in n.iter_mut().chain(vectors) {
         (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
     }
-    for column in 0..4 {
-        (n[p][column], n[q][column]) = (
-            c * n[p][column] - s * n[q][column],
-            s * n[p][column] + c * n[q][column],
-        );
-    }
+    (n[p], n[q]) = (
+        std::array::from_fn(|i| c * n[p][i] - s * n[q][i]),
+        std::array::from_fn(|i| s * n[p][i] + c * n[q][i]),
+    );
 }
 
 fn mean(points: &[[f32; 3]]) -> [f64; 3] {
