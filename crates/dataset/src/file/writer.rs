@@ -1,0 +1,168 @@
+//! Writing a sequence file: streaming, checked, all or nothing.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{self, BufWriter};
+use std::path::{Path, PathBuf};
+
+use mcap::records::MessageHeader;
+use prost::Message;
+use tempfile::NamedTempFile;
+
+use super::{
+    DESCRIPTORS, FRAME_SCHEMA, FRAME_TOPIC, HEADER_SCHEMA, HEADER_TOPIC, PROTOBUF, messages,
+};
+use crate::error::{DatasetError, Result};
+use crate::sequence::{Frame, SequenceHeader};
+
+/// Writes one sequence file, frame by frame.
+///
+/// Frames go to a hidden temporary file in the same folder; [`finish`] makes
+/// it durable and gives it its name, replacing a file of that name. A writer
+/// that is dropped before that leaves nothing behind.
+///
+/// [`finish`]: SequenceWriter::finish
+pub struct SequenceWriter {
+    mcap: mcap::Writer<BufWriter<NamedTempFile>>,
+    header: SequenceHeader,
+    path: PathBuf,
+    frame_channel: u16,
+    frames: usize,
+}
+
+impl SequenceWriter {
+    /// Starts the file that will be called `path` once finished.
+    ///
+    /// # Errors
+    /// A header that breaks a rule ([`SequenceHeader::check`]); a folder that
+    /// does not exist or cannot be written.
+    pub fn create(path: impl AsRef<Path>, header: &SequenceHeader) -> Result<Self> {
+        let path = path.as_ref().to_path_buf();
+        header.check().map_err(|error| error.in_file(&path))?;
+        let file = temporary_beside(&path)?;
+        let mut mcap = mcap::WriteOptions::new()
+            .profile("drape")
+            .library(concat!("drape-dataset ", env!("CARGO_PKG_VERSION")))
+            .compression(None)
+            // Chunks end where `write` flushes: one message each.
+            .chunk_size(None)
+            .create(BufWriter::with_capacity(1 << 20, file))
+            .map_err(|error| write_error(&path, error))?;
+        let mut channel = |schema: &str, topic: &str| {
+            let schema = mcap.add_schema(schema, PROTOBUF, DESCRIPTORS)?;
+            mcap.add_channel(schema, topic, PROTOBUF, &BTreeMap::new())
+        };
+        let channels = channel(HEADER_SCHEMA, HEADER_TOPIC)
+            .and_then(|header| Ok((header, channel(FRAME_SCHEMA, FRAME_TOPIC)?)));
+        let (header_channel, frame_channel) =
+            channels.map_err(|error| write_error(&path, error))?;
+        let mut writer = Self {
+            mcap,
+            header: header.clone(),
+            path,
+            frame_channel,
+            frames: 0,
+        };
+        let message = messages::header_to_message(header).encode_to_vec();
+        writer.write(header_channel, 0, &message)?;
+        Ok(writer)
+    }
+
+    /// Appends the next frame.
+    ///
+    /// # Errors
+    /// Shapes that differ from the header's, a number that is not finite (the
+    /// error names frame, garment and vertex; nothing is written and the
+    /// writer stays usable), or a failing disk.
+    pub fn push(&mut self, frame: &Frame) -> Result<()> {
+        frame.check(&self.header).map_err(|error| {
+            error
+                .at(&format!("frame {}", self.frames))
+                .in_file(&self.path)
+        })?;
+        let message = messages::frame_to_message(self.frames as u64, frame).encode_to_vec();
+        self.write(self.frame_channel, self.frames, &message)?;
+        self.frames += 1;
+        Ok(())
+    }
+
+    /// Number of frames pushed so far.
+    pub fn frame_count(&self) -> usize {
+        self.frames
+    }
+
+    /// Completes the file and gives it its name.
+    ///
+    /// # Errors
+    /// No frame was pushed, or the disk fails; then no file appears.
+    pub fn finish(mut self) -> Result<()> {
+        if self.frames == 0 {
+            return Err(
+                DatasetError::invalid("sequence", "at least one frame", "none").in_file(&self.path),
+            );
+        }
+        self.mcap
+            .finish()
+            .map_err(|error| write_error(&self.path, error))?;
+        let io = |error| DatasetError::io("write", &self.path)(error);
+        let file = self
+            .mcap
+            .into_inner()
+            .into_inner()
+            .map_err(|error| io(error.into_error()))?;
+        persist(file, &self.path)
+    }
+
+    fn write(&mut self, channel_id: u16, index: usize, message: &[u8]) -> Result<()> {
+        let time_ns = (index as f64 * 1e9 / f64::from(self.header.scene.fps)).round() as u64;
+        let header = MessageHeader {
+            channel_id,
+            sequence: index as u32,
+            log_time: time_ns,
+            publish_time: time_ns,
+        };
+        self.mcap
+            .write_to_known_channel(&header, message)
+            .and_then(|()| self.mcap.flush())
+            .map_err(|error| write_error(&self.path, error))
+    }
+}
+
+/// A temporary file in the folder of `path`, so that renaming stays on one disk.
+pub(crate) fn temporary_beside(path: &Path) -> Result<NamedTempFile> {
+    let folder = match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".drape-").suffix(".partial");
+    #[cfg(unix)]
+    {
+        // Readable like any other file (the umask applies), not private to the user.
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(std::fs::Permissions::from_mode(0o666));
+    }
+    builder
+        .tempfile_in(folder)
+        .map_err(DatasetError::io("create a file in", folder))
+}
+
+/// Makes `file` durable under the name `path`.
+pub(crate) fn persist(file: NamedTempFile, path: &Path) -> Result<()> {
+    let io = |error: io::Error| DatasetError::io("write", path)(error);
+    file.as_file().sync_all().map_err(io)?;
+    file.persist(path).map_err(|error| io(error.error))?;
+    // The rename itself is durable once the folder is; not every system can sync one.
+    if let Some(Ok(folder)) = path.parent().map(File::open) {
+        folder.sync_all().ok();
+    }
+    Ok(())
+}
+
+fn write_error(path: &Path, error: mcap::McapError) -> DatasetError {
+    let source = match error {
+        mcap::McapError::Io(source) => source,
+        other => io::Error::other(other),
+    };
+    DatasetError::io("write", path)(source)
+}
