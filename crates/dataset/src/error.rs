@@ -70,6 +70,14 @@ pub enum DatasetError {
         /// The highest major version understood.
         supported: u32,
     },
+    /// A garment cannot be cut into patches.
+    #[error("garment '{garment}' cannot be cut into patches: {found}")]
+    Patches {
+        /// The garment.
+        garment: String,
+        /// What is wrong.
+        found: String,
+    },
     /// No such frame.
     #[error("{}: frame {frame} was asked for, but the sequence has {frame_count} frames (0 to {})",
         path.display(), frame_count.saturating_sub(1))]

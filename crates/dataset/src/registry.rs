@@ -4,13 +4,6 @@
 //! (kebab-case); tables print `Display` (the paper's spelling). The lists are
 //! part of the format: `data-spec/README.md` repeats them.
 
-use std::fmt;
-use std::str::FromStr;
-
-use serde::{Deserialize, Serialize};
-
-use crate::error::DatasetError;
-
 /// Declares a registry: the enum, its names in files, its titles in tables.
 macro_rules! registry {
     (
@@ -18,7 +11,10 @@ macro_rules! registry {
         $($(#[$variant_doc:meta])* $variant:ident = $file:literal, $title:literal;)*
     ) => {
         $(#[$doc])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+        #[derive(
+            Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash,
+            serde::Serialize, serde::Deserialize,
+        )]
         pub enum $name {
             $($(#[$variant_doc])* #[serde(rename = $file)] $variant,)*
         }
@@ -34,19 +30,19 @@ macro_rules! registry {
         }
 
         /// Title in tables; honours width and alignment.
-        impl fmt::Display for $name {
-            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        impl std::fmt::Display for $name {
+            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
                 f.pad(match self { $(Self::$variant => $title,)* })
             }
         }
 
-        impl FromStr for $name {
-            type Err = DatasetError;
+        impl std::str::FromStr for $name {
+            type Err = $crate::DatasetError;
 
-            fn from_str(name: &str) -> Result<Self, DatasetError> {
+            fn from_str(name: &str) -> Result<Self, $crate::DatasetError> {
                 match name {
                     $($file => Ok(Self::$variant),)*
-                    other => Err(DatasetError::invalid(
+                    other => Err($crate::DatasetError::invalid(
                         $what,
                         concat!("one of" $(, " ", $file)*),
                         format!("{other:?}"),
@@ -56,6 +52,8 @@ macro_rules! registry {
         }
     };
 }
+
+pub(crate) use registry;
 
 registry! {
     /// The paper's seven garment types (its Table 5).

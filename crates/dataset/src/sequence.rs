@@ -127,7 +127,10 @@ pub struct Root {
 
 impl Default for Root {
     fn default() -> Self {
-        Self { translation: [0.0; 3], rotation: [1.0, 0.0, 0.0, 0.0] }
+        Self {
+            translation: [0.0; 3],
+            rotation: [1.0, 0.0, 0.0, 0.0],
+        }
     }
 }
 

@@ -1,7 +1,6 @@
 //! Writing a sequence file: streaming, checked, all or nothing.
 
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 
@@ -12,6 +11,7 @@ use tempfile::NamedTempFile;
 use super::{
     DESCRIPTORS, FRAME_SCHEMA, FRAME_TOPIC, HEADER_SCHEMA, HEADER_TOPIC, PROTOBUF, messages,
 };
+use crate::atomic::{persist, temporary_beside};
 use crate::error::{DatasetError, Result};
 use crate::sequence::{Frame, SequenceHeader};
 
@@ -126,37 +126,6 @@ impl SequenceWriter {
             .and_then(|()| self.mcap.flush())
             .map_err(|error| write_error(&self.path, error))
     }
-}
-
-/// A temporary file in the folder of `path`, so that renaming stays on one disk.
-pub(crate) fn temporary_beside(path: &Path) -> Result<NamedTempFile> {
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".drape-").suffix(".partial");
-    #[cfg(unix)]
-    {
-        // Readable like any other file (the umask applies), not private to the user.
-        use std::os::unix::fs::PermissionsExt;
-        builder.permissions(std::fs::Permissions::from_mode(0o666));
-    }
-    builder
-        .tempfile_in(folder)
-        .map_err(DatasetError::io("create a file in", folder))
-}
-
-/// Makes `file` durable under the name `path`.
-pub(crate) fn persist(file: NamedTempFile, path: &Path) -> Result<()> {
-    let io = |error: io::Error| DatasetError::io("write", path)(error);
-    file.as_file().sync_all().map_err(io)?;
-    file.persist(path).map_err(|error| io(error.error))?;
-    // The rename itself is durable once the folder is; not every system can sync one.
-    if let Some(Ok(folder)) = path.parent().map(File::open) {
-        folder.sync_all().ok();
-    }
-    Ok(())
 }
 
 fn write_error(path: &Path, error: mcap::McapError) -> DatasetError {

@@ -1,0 +1,254 @@
+//! Garment meshes from and to Wavefront OBJ.
+//!
+//! A garment file holds triangles, each corner with position and UV
+//! (`f 1/1 2/2 3/3`), UVs in `[0, 1]`. Panels are the islands of the UV map.
+//! Anything else is refused with the line it stands in: a garment that was
+//! silently triangulated, or whose missing UVs were invented, trains silently
+//! wrong. Normals, groups, smoothing and materials are read over.
+//!
+//! The parser is this file's own, not `tobj`'s: that one numbers vertices anew
+//! in the order of the faces (which breaks the link to recorded frames),
+//! invents missing UVs and knows no line numbers. Tests compare the two.
+
+use std::fmt::Write;
+use std::fs;
+use std::path::Path;
+
+use crate::atomic;
+use crate::error::{DatasetError, Result};
+use crate::panels::{numbered_names, uv_islands};
+use crate::registry::GarmentKind;
+use crate::sequence::{Garment, Material};
+
+/// A face is flat when twice its area is below this share of its longest
+/// edge squared: f32 coordinates carry a relative error of 6e-8.
+const FLAT: f64 = 1e-6;
+
+/// What an OBJ file tells about a garment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GarmentMesh {
+    /// Positions, `[vertex, 3]`, in the file's order.
+    pub rest: Vec<[f32; 3]>,
+    /// Triangles, `[face, 3]`.
+    pub faces: Vec<[u32; 3]>,
+    /// UV coordinates, `[uv, 2]`.
+    pub uv: Vec<[f32; 2]>,
+    /// UV index of each corner, `[face, 3]`.
+    pub uv_faces: Vec<[u32; 3]>,
+    /// Panel of each face: UV island.
+    pub panel_of_face: Vec<u32>,
+    /// Number of panels.
+    pub panel_count: usize,
+}
+
+impl GarmentMesh {
+    /// Reads and checks a file.
+    ///
+    /// # Errors
+    /// Names the line: not a number, NaN or infinite; a face with other than
+    /// three corners, without UV, with an index out of range, with a repeated
+    /// vertex or without area; a vertex of no face; UVs outside `[0, 1]`;
+    /// lines and points; no faces at all.
+    pub fn read(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let text = fs::read_to_string(path).map_err(DatasetError::io("read", path))?;
+        Self::parse(&text).map_err(|error| error.in_file(path))
+    }
+
+    /// Like [`read`](Self::read), from text.
+    pub fn parse(text: &str) -> Result<Self> {
+        let mut mesh = Self {
+            rest: Vec::new(),
+            faces: Vec::new(),
+            uv: Vec::new(),
+            uv_faces: Vec::new(),
+            panel_of_face: Vec::new(),
+            panel_count: 0,
+        };
+        // Line of each vertex, UV and face, to name it when a later check fails.
+        let (mut vertex_line, mut face_line) = (Vec::new(), Vec::new());
+        for (number, line) in (1..).zip(text.lines()) {
+            let at = |error: DatasetError| error.at(&format!("line {number}"));
+            let mut words = line.split_whitespace();
+            match words.next() {
+                Some("v") => {
+                    // Colours or a weight may follow.
+                    mesh.rest.push(numbers("vertex", words).map_err(at)?);
+                    vertex_line.push(number);
+                }
+                Some("vt") => {
+                    let uv = numbers::<2>("UV", words).map_err(at)?;
+                    if !uv.iter().all(|x| (0.0..=1.0).contains(x)) {
+                        return Err(at(DatasetError::invalid(
+                            "UV",
+                            "two numbers in [0, 1] (scale all UVs by one factor and divide \
+                             metres_per_uv by it)",
+                            format!("{uv:?}"),
+                        )));
+                    }
+                    mesh.uv.push(uv);
+                }
+                Some("f") => {
+                    let corners = corners(words, mesh.rest.len(), mesh.uv.len()).map_err(at)?;
+                    mesh.faces.push(corners.map(|(vertex, _)| vertex));
+                    mesh.uv_faces.push(corners.map(|(_, uv)| uv));
+                    face_line.push(number);
+                }
+                Some("vn" | "vp" | "o" | "g" | "s" | "usemtl" | "mtllib") | None => {}
+                Some(comment) if comment.starts_with('#') => {}
+                Some(other) => {
+                    return Err(at(DatasetError::invalid(
+                        "statement",
+                        "v, vt, f, or one of vn vp o g s usemtl mtllib",
+                        format!("{other:?}"),
+                    )));
+                }
+            }
+        }
+        if mesh.faces.is_empty() {
+            return Err(DatasetError::invalid("faces", "at least one triangle", "none"));
+        }
+        for (face, line) in face_line.iter().enumerate() {
+            check_area(&mesh, face).map_err(|error| error.at(&format!("line {line}")))?;
+        }
+        let mut used = vec![false; mesh.rest.len()];
+        mesh.faces.as_flattened().iter().for_each(|&vertex| used[vertex as usize] = true);
+        if let Some(loose) = used.iter().position(|used| !used) {
+            return Err(DatasetError::invalid(
+                format!("line {}, vertex {loose}", vertex_line[loose]),
+                "a vertex of at least one face (delete loose vertices)",
+                "a vertex of none",
+            ));
+        }
+        (mesh.panel_of_face, mesh.panel_count) = uv_islands(&mesh.uv_faces, mesh.uv.len());
+        Ok(mesh)
+    }
+
+    /// The mesh as a garment of an outfit; panels are named `panel_0` and so on.
+    pub fn into_garment(
+        self,
+        name: impl Into<String>,
+        kind: GarmentKind,
+        layer: u32,
+        material: Material,
+    ) -> Garment {
+        Garment {
+            name: name.into(),
+            kind,
+            layer,
+            rest: self.rest,
+            faces: self.faces,
+            uv: self.uv,
+            uv_faces: self.uv_faces,
+            panel_of_face: self.panel_of_face,
+            panels: numbered_names(self.panel_count),
+            material,
+        }
+    }
+}
+
+/// Writes one frame of a garment (`positions`, `[vertex, 3]`; or its rest
+/// positions) with its faces and UVs. Numbers are written so that they read
+/// back as the same f32.
+///
+/// # Errors
+/// Another number of positions than the garment has vertices; a failing disk.
+pub fn write_garment(
+    path: impl AsRef<Path>,
+    garment: &Garment,
+    positions: &[[f32; 3]],
+) -> Result<()> {
+    let path = path.as_ref();
+    if positions.len() != garment.rest.len() {
+        return Err(DatasetError::invalid(
+            format!("garment {:?}, positions", garment.name),
+            garment.rest.len().to_string(),
+            positions.len().to_string(),
+        )
+        .in_file(path));
+    }
+    let mut text = format!("# {} ({})\no {}\n", garment.name, garment.kind, garment.name);
+    // Writing to a String cannot fail.
+    for [x, y, z] in positions {
+        writeln!(text, "v {x} {y} {z}").expect("memory");
+    }
+    for [u, v] in &garment.uv {
+        writeln!(text, "vt {u} {v}").expect("memory");
+    }
+    for (face, uv) in garment.faces.iter().zip(&garment.uv_faces) {
+        let [a, b, c] = std::array::from_fn(|i| format!("{}/{}", face[i] + 1, uv[i] + 1));
+        writeln!(text, "f {a} {b} {c}").expect("memory");
+    }
+    atomic::write(path, text.as_bytes())
+}
+
+/// The first `N` words as finite numbers.
+fn numbers<'a, const N: usize>(
+    what: &str,
+    mut words: impl Iterator<Item = &'a str>,
+) -> Result<[f32; N]> {
+    let mut values = [0.0; N];
+    for value in &mut values {
+        let word = words.next().unwrap_or("the end of the line");
+        *value = word.parse::<f32>().ok().filter(|x| x.is_finite()).ok_or_else(|| {
+            DatasetError::invalid(what, format!("{N} finite numbers"), format!("{word:?}"))
+        })?;
+    }
+    Ok(values)
+}
+
+/// Three corners as (vertex, UV), counted from 0.
+fn corners<'a>(
+    words: impl Iterator<Item = &'a str>,
+    vertices: usize,
+    uvs: usize,
+) -> Result<[(u32, u32); 3]> {
+    let words: Vec<&str> = words.take_while(|word| !word.starts_with('#')).collect();
+    let words: [&str; 3] = words.try_into().map_err(|words: Vec<_>| {
+        let expected = "three corners (triangulate the mesh first)";
+        DatasetError::invalid("face", expected, format!("{} corners", words.len()))
+    })?;
+    let mut corners = [(0, 0); 3];
+    for (corner, word) in corners.iter_mut().zip(words) {
+        let mut parts = word.split('/');
+        let vertex = parts.next().unwrap_or_default();
+        let uv = parts.next().filter(|uv| !uv.is_empty()).ok_or_else(|| {
+            let expected = "position/UV at every corner (unwrap the whole mesh)";
+            DatasetError::invalid("face", expected, format!("{word:?}"))
+        })?;
+        *corner = (index("vertex", vertex, vertices)?, index("UV", uv, uvs)?);
+    }
+    Ok(corners)
+}
+
+/// An index of an OBJ face: from 1, or negative from the latest.
+fn index(what: &str, word: &str, count: usize) -> Result<u32> {
+    let value = word.parse::<i64>().ok();
+    let from_zero = match value {
+        Some(i) if i > 0 => i.checked_sub(1),
+        Some(i) if i < 0 => i.checked_add(count as i64),
+        _ => None,
+    };
+    from_zero.filter(|i| (0..count as i64).contains(i)).map(|i| i as u32).ok_or_else(|| {
+        let expected = format!("a {what} index from 1 to {count} (the {what} lines so far)");
+        DatasetError::invalid("face", expected, format!("{word:?}"))
+    })
+}
+
+fn check_area(mesh: &GarmentMesh, face: usize) -> Result<()> {
+    let [a, b, c] = mesh.faces[face].map(|i| mesh.rest[i as usize].map(f64::from));
+    let edge = |p: [f64; 3], q: [f64; 3]| [q[0] - p[0], q[1] - p[1], q[2] - p[2]];
+    let dot = |p: [f64; 3], q: [f64; 3]| p[0] * q[0] + p[1] * q[1] + p[2] * q[2];
+    let (ab, ac, bc) = (edge(a, b), edge(a, c), edge(b, c));
+    let longest_squared = dot(ab, ab).max(dot(ac, ac)).max(dot(bc, bc));
+    let cross_squared = dot(ab, ab) * dot(ac, ac) - dot(ab, ac).powi(2);
+    // Squared on both sides: no root of a number that rounding made negative.
+    if cross_squared <= (FLAT * longest_squared).powi(2) {
+        return Err(DatasetError::invalid(
+            format!("face {face}"),
+            "a triangle with an area (delete or merge degenerate faces)",
+            format!("corners {:?}", mesh.faces[face].map(|i| mesh.rest[i as usize])),
+        ));
+    }
+    Ok(())
+}
