@@ -1,0 +1,161 @@
+//! The programs behind the commands: which package and binary, and what a
+//! newcomer should know before reading their options.
+
+use std::{
+    env,
+    ffi::OsString,
+    path::{Path, PathBuf},
+    process::{Command, ExitCode, ExitStatus},
+};
+
+use anyhow::{Context, Result, bail};
+
+/// A program of the workspace.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Program {
+    /// Trains a model.
+    Train,
+    /// Measures runs.
+    Eval,
+    /// Makes sequences.
+    Generate,
+    /// Predicts a sequence.
+    Rollout,
+    /// Shows a sequence.
+    Inspect,
+    /// Converts files of other programs.
+    Import,
+}
+
+impl Program {
+    /// Package and binary.
+    fn names(self) -> (&'static str, &'static str) {
+        match self {
+            Program::Train => ("drape-train", "drape-train"),
+            Program::Eval => ("drape-eval", "drape-eval"),
+            Program::Generate => ("drape-sim", "drape-generate"),
+            Program::Rollout => ("drape-eval", "drape-rollout"),
+            Program::Inspect => ("drape-view", "drape-inspect"),
+            Program::Import => ("drape-dataset", "drape-import"),
+        }
+    }
+
+    /// What the command is for, printed above the program's own help.
+    fn explanation(self) -> &'static str {
+        match self {
+            Program::Train => {
+                "cargo xtask train: learn how garments move.\n\n\
+                 Without options it makes data/default (bodies in motion, dressed in two layers, simulated by\n\
+                 the engine) unless it is there, trains LayersNet on it, and prints how well the model predicts\n\
+                 sequences it has never seen. Everything a run makes is in one folder, runs/NAME. Ctrl-C stops\n\
+                 it with the last checkpoint kept; --resume goes on from there.\n\n\
+                 All options go to drape-train:\n"
+            }
+            Program::Eval => {
+                "cargo xtask eval: how good is a model, and what does it cost?\n\n\
+                 Lets every method predict held-out sequences, each from its own predictions, and compares with\n\
+                 the simulated reference: error in millimetres, share of vertices inside the body and inside\n\
+                 inner garments, milliseconds per frame. Floors (methods that learn nothing) are in the same\n\
+                 table: a model that does not beat them is broken.\n\n\
+                 All options go to drape-eval:\n"
+            }
+            Program::Generate => {
+                "cargo xtask generate: make a data set.\n\n\
+                 Samples bodies, motions, outfits, materials and wind, simulates each sequence with the cloth\n\
+                 engine, and writes one file per sequence. The same seed makes the same bytes.\n\n\
+                 All options go to drape-generate:\n"
+            }
+            Program::Rollout => {
+                "cargo xtask rollout: let a trained model animate the garments of a sequence.\n\n\
+                 Reads a sequence, keeps its body motion and wind, predicts its garments from the first frames\n\
+                 on, and writes the prediction as a sequence file that inspect can draw.\n\n\
+                 All options go to drape-rollout:\n"
+            }
+            Program::Inspect => {
+                "cargo xtask inspect FILE: what is in a sequence file?\n\n\
+                 Prints its contents and checks them; draws frames and patches as PNG pictures.\n\n\
+                 All options go to drape-inspect:\n"
+            }
+            Program::Import => {
+                "cargo xtask import FORMAT …: use sequences that another program simulated.\n\n\
+                 Reads their files, checks them and writes sequence files for train, eval and rollout.\n\n\
+                 All options go to drape-import:\n"
+            }
+        }
+    }
+}
+
+/// Builds a program, runs it and passes its exit code on.
+pub fn run(program: Program, args: &[OsString]) -> Result<ExitCode> {
+    build(&[program])?;
+    start(program, args).map(exit_code)
+}
+
+/// Runs a program that is built already.
+pub fn start(program: Program, args: &[OsString]) -> Result<ExitStatus> {
+    if wants_help(args) {
+        println!("{}", program.explanation());
+    }
+    let path = binary(program);
+    let mut command = Command::new(&path);
+    command.args(args);
+    command
+        .status()
+        .with_context(|| format!("cannot run {}", path.display()))
+}
+
+/// Builds programs; cargo shows its progress.
+pub fn build(programs: &[Program]) -> Result<()> {
+    let mut command = cargo();
+    command.args(["build", "--release"]);
+    for program in programs {
+        let (package, binary) = program.names();
+        command.args(["--package", package, "--bin", binary]);
+    }
+    let status = command.status().context("cannot run cargo")?;
+    if !status.success() {
+        bail!("the build failed; its messages are above");
+    }
+    Ok(())
+}
+
+/// Whether the arguments ask for help.
+pub fn wants_help(args: &[OsString]) -> bool {
+    args.iter()
+        .take_while(|arg| *arg != "--")
+        .any(|arg| arg == "--help" || arg == "-h")
+}
+
+/// The cargo that runs this, in the workspace's folder.
+pub fn cargo() -> Command {
+    let mut command = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    command.current_dir(workspace());
+    command
+}
+
+/// The workspace's folder.
+pub fn workspace() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .unwrap_or(Path::new("."))
+}
+
+/// A finished program's exit code; 128 + signal when a signal ended it, as shells do.
+pub fn exit_code(status: ExitStatus) -> ExitCode {
+    #[cfg(unix)]
+    let signal = std::os::unix::process::ExitStatusExt::signal(&status);
+    #[cfg(not(unix))]
+    let signal = None;
+    let code = status
+        .code()
+        .or(signal.map(|signal| 128 + signal))
+        .unwrap_or(1);
+    ExitCode::from(u8::try_from(code).unwrap_or(1))
+}
+
+fn binary(program: Program) -> PathBuf {
+    let target =
+        env::var_os("CARGO_TARGET_DIR").map_or_else(|| workspace().join("target"), PathBuf::from);
+    let name = format!("{}{}", program.names().1, env::consts::EXE_SUFFIX);
+    target.join("release").join(name)
+}
