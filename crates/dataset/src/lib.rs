@@ -4,6 +4,7 @@ mod atomic;
 mod check;
 mod error;
 pub mod file;
+pub mod import;
 pub mod obj;
 pub mod panels;
 pub mod patches;

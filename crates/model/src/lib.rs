@@ -1,1 +1,21 @@
-//! Placeholder header, replaced by the crate's own.
+//! LayersNet on candle.
+//!
+//! [`Parameters`] holds named weights, [`ModelConfig`] the choices,
+//! [`LayersNet`] evaluates one frame: garment state, body, wind and gravity in,
+//! accelerations out. [`FrameGraph`] is the discrete structure of a frame.
+//! Losses and training live in `drape-train`; nothing here reads sequence files.
+
+mod block;
+mod config;
+mod error;
+pub mod frames;
+mod graph;
+pub mod kernels;
+mod layersnet;
+pub mod parameters;
+
+pub use config::{BodyMessages, BodySlots, ForceFrames, FrameAxis, GravitySource, ModelConfig, OutputScale};
+pub use error::{ModelError, Result};
+pub use graph::{Anchor, FrameGraph, Slot, patch_means};
+pub use layersnet::{LayersNet, Prediction};
+pub use parameters::Parameters;

@@ -1,1 +1,8 @@
-//! Placeholder header, replaced by the crate's own.
+//! Training of LayersNet.
+
+pub mod adam;
+mod error;
+pub mod losses;
+pub mod step;
+
+pub use error::{Result, TrainError};

@@ -1,0 +1,164 @@
+//! Normalisation statistics, merged in one pass.
+//!
+//! A group of rows has mean μ, biased covariance Σ and count n. Two groups merge as
+//! μ = (n_a μ_a + n_b μ_b)/(n_a+n_b),
+//! Σ = [n_a Σ_a + n_b Σ_b + n_a δ_a δ_aᵀ + n_b δ_b δ_bᵀ]/(n_a+n_b), δ_• = μ_• − μ.
+//! Only training sequences go in. A column that never changes gets std 1.
+
+use serde::{Deserialize, Serialize};
+
+/// Mean, biased covariance and count of 3-vectors.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Moments {
+    /// Mean.
+    pub mean: [f64; 3],
+    /// Covariance, biased.
+    pub covariance: [[f64; 3]; 3],
+    /// Number of rows.
+    pub count: f64,
+}
+
+impl Moments {
+    /// Moments of rows, two passes in f64.
+    pub fn of(rows: impl Iterator<Item = [f64; 3]> + Clone) -> Self {
+        let mut count = 0f64;
+        let mut mean = [0f64; 3];
+        for row in rows.clone() {
+            count += 1.0;
+            for axis in 0..3 {
+                mean[axis] += row[axis];
+            }
+        }
+        if count == 0.0 {
+            return Self::default();
+        }
+        let mean = mean.map(|sum| sum / count);
+        let mut covariance = [[0f64; 3]; 3];
+        for row in rows {
+            for i in 0..3 {
+                for j in 0..3 {
+                    covariance[i][j] += (row[i] - mean[i]) * (row[j] - mean[j]) / count;
+                }
+            }
+        }
+        Self {
+            mean,
+            covariance,
+            count,
+        }
+    }
+
+    /// Moments of both groups together.
+    pub fn merge(self, other: Self) -> Self {
+        let count = self.count + other.count;
+        if count == 0.0 {
+            return self;
+        }
+        let mut merged = Self {
+            count,
+            ..Self::default()
+        };
+        for axis in 0..3 {
+            merged.mean[axis] =
+                (self.count * self.mean[axis] + other.count * other.mean[axis]) / count;
+        }
+        for group in [&self, &other] {
+            for i in 0..3 {
+                for j in 0..3 {
+                    let (di, dj) = (
+                        group.mean[i] - merged.mean[i],
+                        group.mean[j] - merged.mean[j],
+                    );
+                    merged.covariance[i][j] +=
+                        group.count * (group.covariance[i][j] + di * dj) / count;
+                }
+            }
+        }
+        merged
+    }
+
+    /// Standard deviation of each column; 1 where a column never changes.
+    pub fn std(&self) -> [f64; 3] {
+        let mut std = [0f64; 3];
+        for (axis, value) in std.iter_mut().enumerate() {
+            let variance = self.covariance[axis][axis].max(0.0).sqrt();
+            *value = if variance > 0.0 { variance } else { 1.0 };
+        }
+        std
+    }
+}
+
+/// Mean and standard deviation of position, velocity and acceleration
+/// (units, units/frame, units/frame²), three columns each.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ColumnStatistics {
+    /// Mean of `[pos, vel, acc]`.
+    pub mean: [f32; 9],
+    /// Standard deviation of `[pos, vel, acc]`.
+    pub std: [f32; 9],
+}
+
+impl ColumnStatistics {
+    /// Columns from the moments of position, velocity and acceleration.
+    pub fn from_moments(moments: &[Moments; 3]) -> Self {
+        let mut columns = Self {
+            mean: [0.0; 9],
+            std: [1.0; 9],
+        };
+        for (block, group) in moments.iter().enumerate() {
+            let std = group.std();
+            for (axis, &value) in std.iter().enumerate() {
+                columns.mean[3 * block + axis] = group.mean[axis] as f32;
+                columns.std[3 * block + axis] = value as f32;
+            }
+        }
+        columns
+    }
+}
+
+/// Statistics of a training set.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Statistics {
+    /// Garment and body rows, relative to the root.
+    pub vertices: ColumnStatistics,
+    /// The root, absolute.
+    pub root: ColumnStatistics,
+}
+
+/// Collects [`Statistics`] frame by frame.
+#[derive(Clone, Debug, Default)]
+pub struct StatisticsBuilder {
+    vertices: [Moments; 3],
+    root: [Moments; 3],
+}
+
+impl StatisticsBuilder {
+    /// Adds one frame's rows `[pos, vel, acc]` of garments and body (relative) and of the root (absolute).
+    pub fn add(&mut self, vertices: &[[f32; 9]], root: [f32; 9]) {
+        for block in 0..3 {
+            let column = |row: &[f32; 9]| [0, 1, 2].map(|axis| f64::from(row[3 * block + axis]));
+            self.vertices[block] =
+                self.vertices[block].merge(Moments::of(vertices.iter().map(column)));
+            self.root[block] = self.root[block].merge(Moments::of(std::iter::once(column(&root))));
+        }
+    }
+
+    /// Merges two builders; the order of merging is part of the result's bits.
+    pub fn merge(self, other: Self) -> Self {
+        let both = |a: [Moments; 3], b: [Moments; 3]| {
+            [a[0].merge(b[0]), a[1].merge(b[1]), a[2].merge(b[2])]
+        };
+        Self {
+            vertices: both(self.vertices, other.vertices),
+            root: both(self.root, other.root),
+        }
+    }
+
+    /// The statistics of all that was added.
+    pub fn finish(&self) -> Statistics {
+        Statistics {
+            vertices: ColumnStatistics::from_moments(&self.vertices),
+            root: ColumnStatistics::from_moments(&self.root),
+        }
+    }
+}

@@ -1,0 +1,108 @@
+//! Fused operations with hand-written backward passes, as candle custom ops.
+//!
+//! candle's stock layer norm and softmax return no gradient, and gathering
+//! attention from stock ops costs ten times the time. Each kernel file states its
+//! formula, works in f32 and f64 (finite differences are checked in f64), and
+//! is serial inside: training runs samples in parallel, inference splits rows
+//! into fixed chunks, so results do not depend on the number of threads.
+
+pub mod attention;
+pub mod layer_norm;
+pub mod linear;
+pub mod row_map;
+pub mod segment_mean;
+
+use candle_core::{CpuStorage, Layout, Result, Tensor, WithDType};
+
+/// Scalars the kernels run in.
+pub trait Real: WithDType + num_traits::Float + Send + Sync + std::ops::AddAssign + 'static {
+    /// Converts a constant.
+    fn of(value: f64) -> Self;
+}
+
+impl Real for f32 {
+    fn of(value: f64) -> Self {
+        value as f32
+    }
+}
+
+impl Real for f64 {
+    fn of(value: f64) -> Self {
+        value
+    }
+}
+
+/// The values of a contiguous operand.
+pub(crate) fn operand<'a, T: Real>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [T]> {
+    let values = storage.as_slice::<T>()?;
+    match layout.contiguous_offsets() {
+        Some((start, end)) => Ok(&values[start..end]),
+        None => candle_core::bail!("kernel operand of shape {:?} is not contiguous", layout.shape()),
+    }
+}
+
+/// Element type of a storage.
+pub(crate) fn dtype_of(storage: &CpuStorage) -> candle_core::DType {
+    candle_core::backend::BackendStorage::dtype(storage)
+}
+
+/// Copies a tensor's values; the tensor need not be contiguous.
+pub(crate) fn values<T: Real>(tensor: &Tensor) -> Result<Vec<T>> {
+    tensor.flatten_all()?.to_vec1::<T>()
+}
+
+/// Runs `$body` for the element type of `$dtype`, named `$T` inside.
+macro_rules! by_dtype {
+    ($dtype:expr, $T:ident => $body:expr) => {
+        match $dtype {
+            candle_core::DType::F32 => {
+                type $T = f32;
+                $body
+            }
+            candle_core::DType::F64 => {
+                type $T = f64;
+                $body
+            }
+            other => candle_core::bail!("kernels run in f32 or f64, got {other:?}"),
+        }
+    };
+}
+pub(crate) use by_dtype;
+
+/// Defines `$name`, which runs the `#[inline(always)]` function `$inner` compiled
+/// for the widest vector units found at run time.
+macro_rules! simd_dispatch {
+    ($(#[$doc:meta])* fn $name:ident => $inner:ident<$T:ident>($($arg:ident: $ty:ty),* $(,)?)) => {
+        $(#[$doc])*
+        #[allow(clippy::too_many_arguments)]
+        fn $name<$T: $crate::kernels::Real>($($arg: $ty),*) {
+            #[cfg(target_arch = "x86_64")]
+            {
+                #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq,avx2,fma")]
+                #[allow(clippy::too_many_arguments)]
+                fn wide<$T: $crate::kernels::Real>($($arg: $ty),*) {
+                    $inner::<$T>($($arg),*)
+                }
+                #[target_feature(enable = "avx2,fma")]
+                #[allow(clippy::too_many_arguments)]
+                fn medium<$T: $crate::kernels::Real>($($arg: $ty),*) {
+                    $inner::<$T>($($arg),*)
+                }
+                if is_x86_feature_detected!("avx512f")
+                    && is_x86_feature_detected!("avx512vl")
+                    && is_x86_feature_detected!("avx512bw")
+                    && is_x86_feature_detected!("avx512dq")
+                {
+                    // SAFETY: the features were detected on this machine.
+                    return unsafe { wide::<$T>($($arg),*) };
+                }
+                if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+                    // SAFETY: the features were detected on this machine.
+                    return unsafe { medium::<$T>($($arg),*) };
+                }
+            }
+            $inner::<$T>($($arg),*)
+        }
+    };
+}
+pub(crate) use simd_dispatch;

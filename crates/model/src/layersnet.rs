@@ -1,0 +1,313 @@
+//! LayersNet: patches as particles, rotation-equivalent attention, decoder.
+//!
+//! Source: "Towards Multi-Layered 3D Garments Animation" (ICCV 2023); equations
+//! of the published program in its description, sections 7 to 9, evaluated with
+//! the exact simplifications of section 16: sparse edges, one token per distinct
+//! body vertex, rank-3 rotations, an 18-wide decoder input.
+//! Shapes: P patches, A attribute rows, G body tokens (vertices, wind, gravity),
+//! N vertices, width 128.
+
+use candle_core::{DType, Device, Tensor};
+use drape_dataset::sample::{Outfit, StatePair, Step};
+use drape_dataset::statistics::ColumnStatistics;
+
+use crate::block::{Block, Tokens};
+use crate::config::{ModelConfig, OutputScale};
+use crate::error::Result;
+use crate::frames::{rotate, transposed};
+use crate::graph::{Anchor, FrameGraph};
+use crate::kernels::layer_norm::layer_norm;
+use crate::kernels::linear::{Activation, linear};
+use crate::kernels::row_map::{RowMap, map_rows};
+use crate::kernels::segment_mean::segment_mean;
+use crate::parameters::{Parameters, rotation_name};
+
+/// Weight and bias of a linear layer.
+pub(crate) struct Affine {
+    weight: Tensor,
+    bias: Tensor,
+}
+
+impl Affine {
+    pub(crate) fn apply(&self, x: &Tensor, activation: Activation) -> Result<Tensor> {
+        Ok(linear(x, &self.weight, &self.bias, activation)?)
+    }
+}
+
+/// Weight and bias of a layer norm.
+pub(crate) struct Norm {
+    weight: Tensor,
+    bias: Tensor,
+}
+
+impl Norm {
+    pub(crate) fn apply(&self, x: &Tensor) -> Result<Tensor> {
+        Ok(layer_norm(x, &self.weight, &self.bias)?)
+    }
+}
+
+/// Two linear layers with ReLU after each.
+struct Encoder {
+    first: Affine,
+    second: Affine,
+}
+
+impl Encoder {
+    fn apply(&self, x: &Tensor) -> Result<Tensor> {
+        self.second.apply(&self.first.apply(x, Activation::Relu)?, Activation::Relu)
+    }
+}
+
+/// Where weights come from: trainable, or detached for prediction.
+pub(crate) struct Source<'a> {
+    parameters: &'a Parameters,
+    trainable: bool,
+}
+
+impl Source<'_> {
+    pub(crate) fn tensor(&self, name: &str) -> Result<Tensor> {
+        let variable = self.parameters.get(name)?.as_tensor();
+        Ok(if self.trainable { variable.clone() } else { variable.detach() })
+    }
+
+    pub(crate) fn affine(&self, name: &str) -> Result<Affine> {
+        Ok(Affine { weight: self.tensor(&format!("{name}.weight"))?, bias: self.tensor(&format!("{name}.bias"))? })
+    }
+
+    pub(crate) fn norm(&self, name: &str) -> Result<Norm> {
+        Ok(Norm { weight: self.tensor(&format!("{name}.weight"))?, bias: self.tensor(&format!("{name}.bias"))? })
+    }
+
+    fn encoder(&self, name: &str) -> Result<Encoder> {
+        Ok(Encoder {
+            first: self.affine(&format!("backbone.{name}.layers.0.0"))?,
+            second: self.affine(&format!("backbone.{name}.layers.1"))?,
+        })
+    }
+}
+
+/// LayersNet with its weights arranged for evaluation. Made anew after each
+/// change of the weights; products of weights are computed once here.
+pub struct LayersNet {
+    config: ModelConfig,
+    states: Encoder,
+    attributes: Encoder,
+    wind: Encoder,
+    gravity: Encoder,
+    receiver: Encoder,
+    sender: Encoder,
+    particle_norm: Norm,
+    receiver_norm: Norm,
+    sender_norm: Norm,
+    blocks: Vec<Block>,
+    /// Decoder's rotation weight, transposed for a product: `[3, 128]`.
+    rotation: Tensor,
+    /// First decoder layer on the 18 numbers it depends on.
+    decoder_first: Affine,
+    decoder_second: Affine,
+    decoder_last: Affine,
+    dtype: DType,
+}
+
+/// What the network says about one frame, in units/frame².
+pub struct Prediction {
+    /// Acceleration of each vertex, `[N, 3]`: its own patch's plus its own.
+    pub acceleration: Tensor,
+    /// The vertex's own part of it, `[N, 3]`.
+    pub relative: Tensor,
+    /// Acceleration of each patch, `[P, 3]`.
+    pub patch_acceleration: Tensor,
+    /// Patch tokens after each block, `[P, 128]`.
+    pub blocks: Vec<Tensor>,
+    /// The structure it was computed on.
+    pub graph: FrameGraph,
+}
+
+impl LayersNet {
+    /// The network whose weights receive gradients.
+    ///
+    /// # Errors
+    /// If a weight is missing.
+    pub fn trainable(config: &ModelConfig, parameters: &Parameters) -> Result<Self> {
+        Self::new(config, &Source { parameters, trainable: true })
+    }
+
+    /// The network for prediction only: no graph is kept.
+    ///
+    /// # Errors
+    /// If a weight is missing.
+    pub fn frozen(config: &ModelConfig, parameters: &Parameters) -> Result<Self> {
+        Self::new(config, &Source { parameters, trainable: false })
+    }
+
+    fn new(config: &ModelConfig, source: &Source) -> Result<Self> {
+        config.validate()?;
+        let rotation = source.tensor(&rotation_name())?;
+        let wide = source.affine("decode_head.proj.layers.0.0")?;
+        let columns = [
+            wide.weight.narrow(1, 0, 12)?.contiguous()?,
+            wide.weight.narrow(1, 12, 128)?.contiguous()?.matmul(&rotation)?,
+            wide.weight.narrow(1, 140, 128)?.contiguous()?.matmul(&rotation)?,
+        ];
+        let mut blocks = Vec::new();
+        for index in 0..config.blocks {
+            blocks.push(Block::new(config, source, index)?);
+        }
+        Ok(Self {
+            dtype: rotation.dtype(),
+            config: config.clone(),
+            states: source.encoder("input_projection")?,
+            attributes: source.encoder("attr_encoder")?,
+            wind: source.encoder("invisible_force_encoder")?,
+            gravity: source.encoder("gravity_encoder")?,
+            receiver: source.encoder("receiver_proj")?,
+            sender: source.encoder("sender_proj")?,
+            particle_norm: source.norm("backbone.particle_norm")?,
+            receiver_norm: source.norm("backbone.receiver_norm")?,
+            sender_norm: source.norm("backbone.sender_norm")?,
+            blocks,
+            decoder_first: Affine { weight: Tensor::cat(&columns, 1)?, bias: wide.bias },
+            decoder_second: source.affine("decode_head.proj.layers.1.0")?,
+            decoder_last: source.affine("decode_head.proj.layers.2")?,
+            rotation: rotation.t()?.contiguous()?,
+        })
+    }
+
+    /// The configuration.
+    pub fn config(&self) -> &ModelConfig {
+        &self.config
+    }
+
+    fn constant<const W: usize>(&self, rows: &[[f32; W]]) -> Result<Tensor> {
+        let flat = rows.as_flattened().to_vec();
+        Ok(Tensor::from_vec(flat, (rows.len(), W), &Device::Cpu)?.to_dtype(self.dtype)?)
+    }
+
+    /// Accelerations of one frame.
+    ///
+    /// `state` `[N, 12]` and `step` as in [`drape_dataset::sample`]; `statistics`
+    /// of the training set's vertices.
+    ///
+    /// # Errors
+    /// [`crate::ModelError::Input`] for input that does not fit or is not finite.
+    pub fn forward(
+        &self,
+        outfit: &Outfit,
+        statistics: &ColumnStatistics,
+        state: &[StatePair],
+        step: &Step,
+    ) -> Result<Prediction> {
+        let graph = FrameGraph::new(&self.config, outfit, state, step)?;
+        let patches = outfit.patches.count();
+        let attributes = outfit.attributes.len();
+
+        // Encoders. Patches and body vertices share one; both are rows of one product.
+        let normalise = |row: &StatePair| -> StatePair {
+            std::array::from_fn(|i| (row[i] - statistics.mean[i % 6]) / statistics.std[i % 6])
+        };
+        let mut rows: Vec<StatePair> = graph.patch_states.iter().map(normalise).collect();
+        rows.extend(graph.body_rows.iter().map(|&vertex| normalise(&step.body[vertex as usize])));
+        let encoded = self.states.apply(&self.constant(&rows)?)?;
+        let patch_tokens = encoded.narrow(0, 0, patches)?;
+        let attribute_tokens = self.attributes.apply(&self.constant(&outfit.attributes)?)?;
+        let wind_token = self.wind.apply(&self.constant(&[step.wind])?)?;
+        let gravity_token = self.gravity.apply(&self.constant(&[step.gravity])?)?;
+        let body_tokens = encoded.narrow(0, patches, graph.body_tokens)?;
+
+        // Receivers, and senders: patches, attributes, then body tokens.
+        let particles = Tensor::cat(&[&patch_tokens, &attribute_tokens], 0)?;
+        let body = Tensor::cat(&[&body_tokens, &wind_token, &gravity_token], 0)?;
+        let senders = self.sender.apply(&Tensor::cat(&[&particles, &body], 0)?)?;
+        let mut tokens = Tokens {
+            state: Tensor::cat(&[&self.particle_norm.apply(&particles)?, &body], 0)?,
+            receiver: self.receiver_norm.apply(&self.receiver.apply(&patch_tokens)?)?,
+            sender: self.sender_norm.apply(&senders)?,
+            patches,
+            particles: patches + attributes,
+        };
+        let mut block_outputs = Vec::new();
+        for (index, block) in self.blocks.iter().enumerate() {
+            tokens = block.apply(&tokens, &graph.edges, index + 1 == self.blocks.len())?;
+            block_outputs.push(tokens.state.narrow(0, 0, patches)?);
+        }
+        let embedding = block_outputs.last().expect("at least one block");
+        self.decode(statistics, state, embedding, &encoded, graph, block_outputs.clone())
+    }
+
+    /// Decoder and integration, for patches and for vertices.
+    fn decode(
+        &self,
+        statistics: &ColumnStatistics,
+        state: &[StatePair],
+        embedding: &Tensor,
+        encoded: &Tensor,
+        graph: FrameGraph,
+        blocks: Vec<Tensor>,
+    ) -> Result<Prediction> {
+        let (patches, vertices) = (graph.patch_states.len(), state.len());
+        let pairs = graph.slots.len();
+        // Three numbers per patch and per body vertex, turned into each receiver's frame.
+        let patch_numbers = crate::kernels::linear::product(embedding, &self.rotation)?;
+        let (mut relative, mut from_patch, mut from_body) = (Vec::new(), Vec::new(), Vec::new());
+        let mut push = |relative_state: StatePair, patch: u32, anchor: &Anchor| {
+            relative.push(turned(&relative_state, anchor));
+            from_patch.push(RowMap { index: patch, matrix: anchor.frame, offset: [0.0; 3] });
+            from_body.push(match anchor.row {
+                Some(row) => RowMap { index: row, matrix: anchor.frame, offset: [0.0; 3] },
+                None => RowMap { index: 0, matrix: [[0.0; 3]; 3], offset: [0.0; 3] },
+            });
+        };
+        for slot in &graph.slots {
+            let (state, patch) = (&state[slot.vertex as usize], &graph.patch_states[slot.patch as usize]);
+            push(std::array::from_fn(|i| state[i] - patch[i]), slot.patch, &graph.vertex_anchors[slot.vertex as usize]);
+        }
+        for (patch, anchor) in graph.patch_anchors.iter().enumerate() {
+            push([0.0; 12], patch as u32, anchor);
+        }
+        let body_part = if graph.body_rows.is_empty() {
+            Tensor::zeros((pairs + patches, 3), self.dtype, &Device::Cpu)?
+        } else {
+            let body_rows = encoded.narrow(0, patches, graph.body_rows.len())?;
+            map_rows(&crate::kernels::linear::product(&body_rows, &self.rotation)?, from_body)?
+        };
+        let features =
+            Tensor::cat(&[&self.constant(&relative)?, &map_rows(&patch_numbers, from_patch)?, &body_part], 1)?;
+        let hidden = self.decoder_first.apply(&features, Activation::Relu)?;
+        let hidden = self.decoder_second.apply(&hidden, Activation::Relu)?;
+        // The last layer is linear, so the mean over a vertex's patches is taken before it.
+        let per_vertex = segment_mean(&hidden.narrow(0, 0, pairs)?, graph.slot_offsets.clone())?;
+        let joined = Tensor::cat(&[&per_vertex, &hidden.narrow(0, pairs, patches)?], 0)?;
+        let local = self.decoder_last.apply(&joined, Activation::None)?;
+        let columns = match self.config.output_scale {
+            OutputScale::Velocity => 3,
+            OutputScale::Acceleration => 6,
+        };
+        let mean = [0, 1, 2].map(|axis| statistics.mean[columns + axis]);
+        let std = [0, 1, 2].map(|axis| statistics.std[columns + axis]);
+        let anchors = graph.vertex_anchors.iter().chain(&graph.patch_anchors);
+        let back = anchors
+            .enumerate()
+            .map(|(index, anchor)| {
+                let r = transposed(&anchor.frame);
+                let matrix = [0, 1, 2].map(|axis| r[axis].map(|value| value * std[axis]));
+                RowMap { index: index as u32, matrix, offset: mean }
+            })
+            .collect();
+        let world = map_rows(&local, back)?;
+        let relative = world.narrow(0, 0, vertices)?;
+        let patch_acceleration = world.narrow(0, vertices, patches)?;
+        let own = Tensor::new(graph.own_patch.as_slice(), &Device::Cpu)?;
+        let acceleration = (&relative + patch_acceleration.contiguous()?.index_select(&own, 0)?)?;
+        Ok(Prediction { acceleration, relative, patch_acceleration, blocks, graph })
+    }
+}
+
+/// The four 3-vectors of a relative state in the anchor's frame.
+fn turned(state: &StatePair, anchor: &Anchor) -> StatePair {
+    let mut out = [0f32; 12];
+    for block in 0..4 {
+        let v = [state[3 * block], state[3 * block + 1], state[3 * block + 2]];
+        out[3 * block..3 * block + 3].copy_from_slice(&rotate(&anchor.frame, v));
+    }
+    out
+}

@@ -1,0 +1,194 @@
+//! The paper's losses, on positions relative to the root, with their gradients.
+//!
+//! | term | formula | default weight |
+//! |---|---|---|
+//! | position | 1/N Σ |x̂ − x|² | 1 |
+//! | patch | 1/P Σ |x̂_p − mean of members|² | 1 |
+//! | normal | 1/N Σ |n̂ − n|² of vertex normals | 1 |
+//! | body collision | nearest-vertex planes of the body, [`collision`] | 1.0 |
+//! | layer collision | the same between layers | 0.1 |
+//! | orthogonality | Σ_W ‖WWᵀ−I‖² + ‖WᵀW−I‖² of the rotation weights | 1 |
+//!
+//! Since x̂ = x + v + a, the gradient by position is the gradient by the
+//! network's acceleration; terms are computed in f64 outside the tensor graph.
+//! Source: the published program's description, section 10.
+
+pub mod collision;
+pub mod normal;
+pub mod orthogonality;
+
+use serde::{Deserialize, Serialize};
+
+use drape_dataset::sample::{Outfit, State, StatePair, Step};
+use drape_model::patch_means;
+
+use collision::{CollisionConfig, CollisionMean};
+use normal::MeshNormals;
+
+/// A vector in f64.
+pub type Vector = [f64; 3];
+
+/// A term's value and its gradient by position, `[vertex, 3]`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Term {
+    /// Value.
+    pub value: f64,
+    /// Gradient by position.
+    pub gradient: Vec<Vector>,
+}
+
+impl Term {
+    pub(crate) fn zero(vertices: usize) -> Self {
+        Self { value: 0.0, gradient: vec![[0.0; 3]; vertices] }
+    }
+
+    fn add(&mut self, other: &Term, weight: f64) {
+        self.value += weight * other.value;
+        for (sum, value) in self.gradient.iter_mut().zip(&other.gradient) {
+            for axis in 0..3 {
+                sum[axis] += weight * value[axis];
+            }
+        }
+    }
+}
+
+/// Weights and choices of the losses.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LossConfig {
+    /// Weight of the position loss. Default 1.
+    pub position: f64,
+    /// Weight of the patch loss. Default 1.
+    pub patch: f64,
+    /// Weight of the normal loss. Default 1.
+    pub normal: f64,
+    /// Weight of the body collision loss after the warm-up. Default 1; the released program uses 1.3.
+    pub body_collision: f64,
+    /// Weight of the layer collision loss after the warm-up. Default 0.1.
+    pub layer_collision: f64,
+    /// Weight of the orthogonality regulariser. Default 1.
+    pub orthogonality: f64,
+    /// How collisions are found and averaged.
+    pub collision: CollisionConfig,
+}
+
+impl Default for LossConfig {
+    fn default() -> Self {
+        Self {
+            position: 1.0,
+            patch: 1.0,
+            normal: 1.0,
+            body_collision: 1.0,
+            layer_collision: 0.1,
+            orthogonality: 1.0,
+            collision: CollisionConfig::default(),
+        }
+    }
+}
+
+impl LossConfig {
+    /// The published program's choices.
+    pub fn released() -> Self {
+        Self {
+            body_collision: 1.3,
+            collision: CollisionConfig { threshold: 1e-3, reach: None, skip_borders: false, mean: CollisionMean::Hits },
+            ..Self::default()
+        }
+    }
+}
+
+/// Values of all terms of one sample; collision terms are weighted, the others have weight 1 by default.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LossValues {
+    /// Position, weighted.
+    pub position: f64,
+    /// Patch, weighted.
+    pub patch: f64,
+    /// Normal, weighted.
+    pub normal: f64,
+    /// Body collision, weighted.
+    pub body_collision: f64,
+    /// Layer collision, weighted.
+    pub layer_collision: f64,
+}
+
+impl LossValues {
+    /// Sum of the terms, without the orthogonality regulariser.
+    pub fn total(&self) -> f64 {
+        self.position + self.patch + self.normal + self.body_collision + self.layer_collision
+    }
+
+    /// Name of the first term that is not finite.
+    pub fn not_finite(&self) -> Option<&'static str> {
+        let terms = [
+            ("loss position", self.position),
+            ("loss patch", self.patch),
+            ("loss normal", self.normal),
+            ("loss body collision", self.body_collision),
+            ("loss layer collision", self.layer_collision),
+        ];
+        terms.into_iter().find(|(_, value)| !value.is_finite()).map(|(name, _)| name)
+    }
+}
+
+/// Mean squared distance of rows.
+pub fn squared_error(predicted: &[Vector], reference: &[Vector]) -> Term {
+    let n = predicted.len().max(1) as f64;
+    let mut term = Term::zero(predicted.len());
+    for ((x, y), gradient) in predicted.iter().zip(reference).zip(&mut term.gradient) {
+        for axis in 0..3 {
+            let d = x[axis] - y[axis];
+            term.value += d * d / n;
+            gradient[axis] = 2.0 * d / n;
+        }
+    }
+    term
+}
+
+/// All terms of one step: values, gradient by vertex position, gradient by patch position.
+///
+/// `predicted` and `predicted_patches` are positions; `with_collisions` is false during the warm-up.
+pub fn all_terms(
+    config: &LossConfig,
+    outfit: &Outfit,
+    step: &Step,
+    predicted: &[Vector],
+    predicted_patches: &[Vector],
+    reference: &[State],
+    with_collisions: bool,
+) -> (LossValues, Vec<Vector>, Vec<Vector>) {
+    let wide = |row: &State| [f64::from(row[0]), f64::from(row[1]), f64::from(row[2])];
+    let truth: Vec<Vector> = reference.iter().map(wide).collect();
+    let mut total = Term::zero(predicted.len());
+    let mut values = LossValues::default();
+    let mut add = |term: &Term, weight: f64| {
+        total.add(term, weight);
+        weight * term.value
+    };
+    values.position = add(&squared_error(predicted, &truth), config.position);
+    let predicted_normals = MeshNormals::new(predicted, &outfit.faces);
+    let true_normals = MeshNormals::new(&truth, &outfit.faces);
+    values.normal = add(&normal::normal_loss(&predicted_normals, &true_normals), config.normal);
+    if with_collisions && config.body_collision > 0.0 && outfit.body_vertices > 0 {
+        let term = collision::body_collision(&config.collision, predicted, &step.body, &outfit.body_faces);
+        values.body_collision = add(&term, config.body_collision);
+    }
+    if with_collisions && config.layer_collision > 0.0 && outfit.garments() > 1 {
+        let term = collision::layer_collision(&config.collision, outfit, predicted, &predicted_normals);
+        values.layer_collision = add(&term, config.layer_collision);
+    }
+    let patch_truth: Vec<Vector> = patch_means(&outfit.patches.members, reference).iter().map(wide).collect();
+    let mut patches = Term::zero(predicted_patches.len());
+    patches.add(&squared_error(predicted_patches, &patch_truth), config.patch);
+    values.patch = patches.value;
+    (values, total.gradient, patches.gradient)
+}
+
+/// Positions after a step: x + v + a, in f64.
+pub fn integrate(states: &[StatePair], accelerations: &[f32]) -> Vec<Vector> {
+    states
+        .iter()
+        .zip(accelerations.chunks_exact(3))
+        .map(|(s, a)| [0, 1, 2].map(|axis| f64::from((a[axis] + s[3 + axis]) + s[axis])))
+        .collect()
+}
