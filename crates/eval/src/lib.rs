@@ -14,6 +14,7 @@ pub mod floors;
 pub mod method;
 pub mod metrics;
 pub mod nearest;
+pub mod table;
 pub mod tally;
 pub mod task;
 
