@@ -1,0 +1,247 @@
+//! Arrays of an `.npz` file by name, with their shapes checked and in C order.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+use npyz::npz::NpzArchive;
+use npyz::{DType, Order, TypeChar};
+
+use crate::error::{DatasetError, Result};
+
+/// An open `.npz` file (compressed or not).
+pub(super) struct Arrays {
+    archive: NpzArchive<BufReader<File>>,
+    path: PathBuf,
+}
+
+/// One numeric array in C order.
+struct Array {
+    shape: Vec<usize>,
+    values: Vec<f64>,
+}
+
+impl Arrays {
+    pub fn open(path: &Path) -> Result<Self> {
+        let io = |error| DatasetError::io("open", path)(error);
+        let file = BufReader::new(File::open(path).map_err(io)?);
+        let archive = NpzArchive::new(file).map_err(|error| {
+            DatasetError::invalid("file", "an .npz file (a zip of arrays)", error.to_string())
+                .in_file(path)
+        })?;
+        Ok(Self {
+            archive,
+            path: path.into(),
+        })
+    }
+
+    pub fn has(&self, name: &str) -> bool {
+        self.archive.array_names().any(|other| other == name)
+    }
+
+    /// Error about the array `name`.
+    pub fn invalid(&self, name: &str, expected: &str, found: impl Into<String>) -> DatasetError {
+        DatasetError::invalid(format!("array {name:?}"), expected, found).in_file(&self.path)
+    }
+
+    /// Rows of `N` numbers, `[row, N]`.
+    pub fn rows<const N: usize>(&mut self, name: &str) -> Result<Vec<[f32; N]>> {
+        let array = self.array(name)?;
+        let [_, columns] = array.shape[..] else {
+            return Err(self.shape(name, &format!("[rows, {N}]"), &array.shape));
+        };
+        if columns != N {
+            return Err(self.shape(name, &format!("[rows, {N}]"), &array.shape));
+        }
+        Ok(to_rows(&array.values))
+    }
+
+    /// Rows of `N` indices, `[row, N]`.
+    pub fn index_rows<const N: usize>(&mut self, name: &str) -> Result<Vec<[u32; N]>> {
+        let array = self.array(name)?;
+        if array.shape.len() != 2 || array.shape[1] != N {
+            return Err(self.shape(name, &format!("[rows, {N}]"), &array.shape));
+        }
+        let bad = |x: &&f64| x.fract() != 0.0 || !(0.0..=f64::from(u32::MAX)).contains(*x);
+        if let Some(bad) = array.values.iter().find(bad) {
+            return Err(self.invalid(name, "indices from 0", bad.to_string()));
+        }
+        let (rows, _) = array.values.as_chunks::<N>();
+        Ok(rows.iter().map(|row| row.map(|x| x as u32)).collect())
+    }
+
+    /// Positions of every frame, `[frame, vertex, 3]`.
+    pub fn frames(&mut self, name: &str) -> Result<Vec<Vec<[f32; 3]>>> {
+        let array = self.array(name)?;
+        let [_, vertices, 3] = array.shape[..] else {
+            return Err(self.shape(name, "[frames, vertices, 3]", &array.shape));
+        };
+        if vertices == 0 {
+            return Err(self.shape(name, "at least one vertex", &array.shape));
+        }
+        Ok(array
+            .values
+            .chunks_exact(vertices * 3)
+            .map(to_rows)
+            .collect())
+    }
+
+    /// Rotation matrices of one joint, `[frame, joint, 3, 3]` → `[frame][3][3]`.
+    pub fn joint_matrices(&mut self, name: &str, joint: usize) -> Result<Vec<[[f64; 3]; 3]>> {
+        let array = self.array(name)?;
+        let [_, joints, 3, 3] = array.shape[..] else {
+            return Err(self.shape(name, "[frames, joints, 3, 3]", &array.shape));
+        };
+        if joint >= joints {
+            let expected = format!("more than {joint} joints, as in joint_names");
+            return Err(self.shape(name, &expected, &array.shape));
+        }
+        Ok(array
+            .values
+            .chunks_exact(joints * 9)
+            .map(|frame| {
+                std::array::from_fn(|i| std::array::from_fn(|k| frame[joint * 9 + i * 3 + k]))
+            })
+            .collect())
+    }
+
+    /// One number.
+    pub fn number(&mut self, name: &str) -> Result<f64> {
+        let array = self.array(name)?;
+        match array.values[..] {
+            [value] => Ok(value),
+            _ => Err(self.shape(name, "one number", &array.shape)),
+        }
+    }
+
+    /// Number of entries.
+    pub fn len(&mut self, name: &str) -> Result<usize> {
+        Ok(self.array(name)?.values.len())
+    }
+
+    /// Unicode strings.
+    pub fn strings(&mut self, name: &str) -> Result<Vec<String>> {
+        let path = self.path.clone();
+        let file = self.entry(name)?;
+        let dtype = file.dtype();
+        file.into_vec::<String>().map_err(|error| {
+            let found = format!("{} ({error})", dtype.descr());
+            DatasetError::invalid(format!("array {name:?}"), "text (dtype <U)", found).in_file(path)
+        })
+    }
+
+    /// One string that holds JSON.
+    pub fn json(&mut self, name: &str) -> Result<serde_json::Value> {
+        let strings = self.strings(name)?;
+        let [text] = strings.as_slice() else {
+            return Err(self.invalid(name, "one text", format!("{} texts", strings.len())));
+        };
+        serde_json::from_str(text)
+            .map_err(|error| self.invalid(name, "JSON", format!("{error} in {text:.40?}")))
+    }
+
+    fn shape(&self, name: &str, expected: &str, found: &[usize]) -> DatasetError {
+        self.invalid(
+            name,
+            &format!("shape {expected}"),
+            format!("shape {found:?}"),
+        )
+    }
+
+    fn entry(&mut self, name: &str) -> Result<npyz::NpyFile<impl std::io::Read + '_>> {
+        if !self.has(name) {
+            let mut names: Vec<_> = self.archive.array_names().map(str::to_owned).collect();
+            names.sort();
+            return Err(self.invalid(name, "this array", format!("only {}", names.join(", "))));
+        }
+        let path = self.path.clone();
+        match self.archive.by_name(name) {
+            Ok(Some(file)) => Ok(file),
+            Ok(None) => Err(DatasetError::invalid(name, "this array", "none").in_file(path)),
+            Err(error) => {
+                Err(
+                    DatasetError::invalid(format!("array {name:?}"), "an array", error.to_string())
+                        .in_file(path),
+                )
+            }
+        }
+    }
+
+    fn array(&mut self, name: &str) -> Result<Array> {
+        let path = self.path.clone();
+        let file = self.entry(name)?;
+        let shape: Vec<usize> = file.shape().iter().map(|&n| n as usize).collect();
+        let order = file.order();
+        let dtype = file.dtype();
+        let kind = match &dtype {
+            DType::Plain(plain) => Some((plain.type_char(), plain.size_field())),
+            _ => None,
+        };
+        let wide = |values: std::io::Result<Vec<f32>>| -> std::io::Result<Vec<f64>> {
+            Ok(values?.into_iter().map(f64::from).collect())
+        };
+        let values = match kind {
+            Some((TypeChar::Float, 4)) => wide(file.into_vec()),
+            Some((TypeChar::Float, 8)) => file.into_vec(),
+            Some((TypeChar::Int, 4)) => file
+                .into_vec::<i32>()
+                .map(|v| v.into_iter().map(f64::from).collect()),
+            Some((TypeChar::Int, 8)) => file
+                .into_vec::<i64>()
+                .map(|v| v.into_iter().map(|x| x as f64).collect()),
+            Some((TypeChar::Uint, 4)) => file
+                .into_vec::<u32>()
+                .map(|v| v.into_iter().map(f64::from).collect()),
+            _ => {
+                let expected = "numbers of type f4, f8, i4, i8 or u4";
+                return Err(DatasetError::invalid(
+                    format!("array {name:?}"),
+                    expected,
+                    dtype.descr(),
+                )
+                .in_file(path));
+            }
+        };
+        let values = values.map_err(|error| {
+            DatasetError::invalid(
+                format!("array {name:?}"),
+                "readable data",
+                error.to_string(),
+            )
+            .in_file(path)
+        })?;
+        let values = if order == Order::Fortran {
+            c_order(&values, &shape)
+        } else {
+            values
+        };
+        Ok(Array { shape, values })
+    }
+}
+
+fn to_rows<const N: usize>(values: &[f64]) -> Vec<[f32; N]> {
+    let (rows, _) = values.as_chunks::<N>();
+    rows.iter().map(|row| row.map(|x| x as f32)).collect()
+}
+
+/// Values stored with the first index fastest, with the last one fastest.
+fn c_order(values: &[f64], shape: &[usize]) -> Vec<f64> {
+    let mut index = vec![0; shape.len()];
+    (0..values.len())
+        .map(|_| {
+            let at = index
+                .iter()
+                .zip(shape)
+                .rev()
+                .fold(0, |at, (i, n)| at * n + i);
+            for (i, n) in index.iter_mut().zip(shape).rev() {
+                *i += 1;
+                if *i < *n {
+                    break;
+                }
+                *i = 0;
+            }
+            values[at]
+        })
+        .collect()
+}
