@@ -1,1 +1,4 @@
-//! Tests across crates.
+//! Tests across crates, and the comparison with reference numbers that the
+//! binary `oracle` prints.
+
+pub mod oracle;
