@@ -16,6 +16,7 @@
 
 pub mod error;
 
+pub mod inspection;
 pub mod patches;
 pub mod picture;
 pub mod plot;

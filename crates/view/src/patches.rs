@@ -1,6 +1,6 @@
 //! Patches as colours: on the garments' rest positions, and in UV space.
 //!
-//! One row for each garment: front, back, UV map. A patch has one colour in
+//! One row for each garment: front, back, UV map (zoomed to what is used of it). A patch has one colour in
 //! all three; colours step by the golden ratio around the hue circle, so that
 //! patches with neighbouring numbers differ most.
 
@@ -15,9 +15,6 @@ use crate::sheet::{BACKGROUND, INK, check_mesh};
 
 const CELL: usize = 520;
 const STRIP_HEIGHT: usize = 30;
-/// The UV square leaves this share of its cell free on each side.
-const UV_MARGIN: f32 = 0.04;
-
 /// Draws all garments of an outfit; `patch_of_face` holds a patch number for
 /// each face of each garment, `[garment][face]`.
 ///
@@ -136,12 +133,7 @@ fn in_uv(garment: &Garment, colours: &[Rgb]) -> Result<Picture, ViewError> {
             if area < 0.0 { [a, c, b] } else { [a, b, c] }
         })
         .collect();
-    let units_per_pixel = (1.0 + 2.0 * UV_MARGIN) / CELL as f32;
-    let camera = Camera {
-        centre: [0.5, 0.0, 0.5],
-        units_per_pixel,
-        ..Camera::looking(0.0, 0.0)
-    };
+    let camera = Camera::looking(0.0, 0.0).frame(&wall, CELL, CELL);
     let surface = Surface {
         positions: &wall,
         faces: &turned,
@@ -150,8 +142,8 @@ fn in_uv(garment: &Garment, colours: &[Rgb]) -> Result<Picture, ViewError> {
     let mut picture = render(&[surface], &camera, CELL, CELL, [255; 3]);
 
     let place = |u: f32, v: f32| {
-        let x = CELL as f32 / 2.0 + (u - 0.5) / units_per_pixel;
-        let y = CELL as f32 / 2.0 - (v - 0.5) / units_per_pixel;
+        let x = CELL as f32 / 2.0 + (u - camera.centre[0]) / camera.units_per_pixel;
+        let y = CELL as f32 / 2.0 - (v - camera.centre[2]) / camera.units_per_pixel;
         (x.round() as i32, y.round() as i32)
     };
     let area = picture.drawing_area();
@@ -165,8 +157,6 @@ fn in_uv(garment: &Garment, colours: &[Rgb]) -> Result<Picture, ViewError> {
             draw(vec![place(p[0], p[1]), place(q[0], q[1])], 0.22)?;
         }
     }
-    let corners = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0), (0.0, 0.0)];
-    draw(corners.iter().map(|&(u, v)| place(u, v)).collect(), 0.5)?;
     drop(area);
     Ok(picture)
 }

@@ -154,6 +154,13 @@ pub(crate) fn text_style(size: f64, colour: Rgb) -> TextStyle<'static> {
     ("sans-serif", size).into_font().color(&RGBColor(r, g, b))
 }
 
+/// Width of a line of text in pixels.
+pub(crate) fn text_width(text: &str, size: f64) -> Result<usize, ViewError> {
+    let boxed = text_style(size, [0; 3]).font.layout_box(text);
+    let ((left, _), (right, _)) = boxed.map_err(|error| ViewError::drawing("text", error))?;
+    Ok((right - left).max(0) as usize)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -58,11 +58,18 @@ pub struct LinePlot<'a> {
     pub marks: &'a [(f64, &'a str)],
 }
 
-/// One method in the trade-off of error against time.
+/// Points of one colour in the trade-off of error against time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Family {
+    /// Settings of one method are joined by a line; independent methods are not.
+    pub joined: bool,
+    /// The points.
+    pub costs: Vec<Cost>,
+}
+
+/// What one method's accuracy costs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cost {
-    /// Family: its points share a colour and are joined.
-    pub family: String,
     /// Name beside the point.
     pub label: String,
     /// Time for one frame.
@@ -123,17 +130,18 @@ pub fn line_plot(plot: &LinePlot, width: usize, height: usize) -> Result<Picture
 pub fn trade_off(
     title: &str,
     error_label: &str,
-    costs: &[Cost],
+    families: &[Family],
     width: usize,
     height: usize,
 ) -> Result<Picture, ViewError> {
-    if costs.is_empty() {
+    let costs = || families.iter().flat_map(|family| &family.costs);
+    if costs().next().is_none() {
         return Err(ViewError::Empty {
             what: "trade-off plot",
             item: "method",
         });
     }
-    for (index, cost) in costs.iter().enumerate() {
+    for (index, cost) in costs().enumerate() {
         let (x, y) = (cost.milliseconds, cost.error);
         if !(x.is_finite() && y.is_finite()) {
             let (plot, series) = (title.to_string(), cost.label.clone());
@@ -156,19 +164,13 @@ pub fn trade_off(
             });
         }
     }
-    let times = decades(costs.iter().map(|cost| cost.milliseconds), 2.0);
-    let highest = costs.iter().map(|cost| cost.error).fold(0.0, f64::max);
-    let lowest = costs.iter().map(|cost| cost.error).fold(0.0, f64::min);
+    let times = decades(costs().map(|cost| cost.milliseconds), 2.0);
+    let highest = costs().map(|cost| cost.error).fold(0.0, f64::max);
+    let lowest = costs().map(|cost| cost.error).fold(0.0, f64::min);
     let span = (highest - lowest).max(f64::MIN_POSITIVE);
+    let errors = lowest..highest + 0.08 * span;
     let mut picture = Picture::new(width, height, PAPER);
-    draw_costs(
-        &mut picture,
-        title,
-        error_label,
-        costs,
-        times,
-        lowest..highest + 0.12 * span,
-    )?;
+    draw_costs(&mut picture, title, error_label, families, times, errors)?;
     Ok(picture)
 }
 
@@ -263,7 +265,7 @@ fn draw_costs(
     picture: &mut Picture,
     title: &str,
     error_label: &str,
-    costs: &[Cost],
+    families: &[Family],
     times: Range<f64>,
     errors: Range<f64>,
 ) -> Result<(), ViewError> {
@@ -288,45 +290,24 @@ fn draw_costs(
         .light_line_style(RGBColor(243, 243, 245))
         .draw()
         .map_err(|e| failed(&e))?;
-    let mut families: Vec<&str> = Vec::new();
-    for cost in costs {
-        if !families.contains(&cost.family.as_str()) {
-            families.push(&cost.family);
-        }
-    }
     for (index, family) in families.iter().enumerate() {
         let style: ShapeStyle = colour(index).into();
-        let mut members: Vec<(f64, f64)> = costs
+        let mut points: Vec<(f64, f64)> = family
+            .costs
             .iter()
-            .filter(|cost| cost.family == *family)
             .map(|cost| (cost.milliseconds, cost.error))
             .collect();
-        members.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let joined = PathElement::new(members.clone(), colour(index).mix(0.45).stroke_width(2));
-        chart.draw_series([joined]).map_err(|e| failed(&e))?;
-        chart
-            .draw_series(
-                members
-                    .into_iter()
-                    .map(|at| Circle::new(at, 5, style.filled())),
-            )
-            .map_err(|e| failed(&e))?
-            .label(*family)
-            .legend(move |(x, y)| Circle::new((x + 9, y), 5, style.filled()));
+        points.sort_by(|a, b| a.0.total_cmp(&b.0));
+        if family.joined {
+            let line = PathElement::new(points.clone(), colour(index).mix(0.45).stroke_width(2));
+            chart.draw_series([line]).map_err(|e| failed(&e))?;
+        }
+        let dots = points
+            .into_iter()
+            .map(|at| Circle::new(at, 5, style.filled()));
+        chart.draw_series(dots).map_err(|e| failed(&e))?;
     }
-    label_costs(&chart, &area, costs, &families).map_err(|e| failed(&e))?;
-    if families.len() > 1 {
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::UpperRight)
-            .label_font(text_style(14.0, INK))
-            .background_style(RGBColor(255, 255, 255).mix(0.85))
-            .border_style(RGBColor(210, 210, 214))
-            .margin(10)
-            .draw()
-            .map_err(|e| failed(&e))?;
-    }
-    Ok(())
+    label_costs(&chart, &area, families).map_err(|e| failed(&e))
 }
 
 type Pixels<'a> = plotters::backend::BitMapBackend<'a>;
@@ -338,15 +319,15 @@ type Area<'b> = plotters::drawing::DrawingArea<Pixels<'b>, plotters::coord::Shif
 
 /// Writes each point's name beside it, moved up or down until it covers no
 /// other name or point.
-fn label_costs(
-    chart: &TimeChart,
-    area: &Area,
-    costs: &[Cost],
-    families: &[&str],
-) -> Result<(), String> {
+fn label_costs(chart: &TimeChart, area: &Area, families: &[Family]) -> Result<(), String> {
+    let costs: Vec<(usize, &Cost)> = families
+        .iter()
+        .enumerate()
+        .flat_map(|(index, family)| family.costs.iter().map(move |cost| (index, cost)))
+        .collect();
     let places: Vec<(i32, i32)> = costs
         .iter()
-        .map(|cost| chart.backend_coord(&(cost.milliseconds, cost.error)))
+        .map(|(_, cost)| chart.backend_coord(&(cost.milliseconds, cost.error)))
         .collect();
     let (x_pixels, y_pixels) = chart.plotting_area().get_pixel_range();
     // Occupied rectangles: left, top, right, bottom.
@@ -354,7 +335,7 @@ fn label_costs(
         .iter()
         .map(|&(x, y)| [x - 6, y - 6, x + 6, y + 6])
         .collect();
-    for (cost, &(x, y)) in costs.iter().zip(&places) {
+    for (&(family, cost), &(x, y)) in costs.iter().zip(&places) {
         let style = text_style(13.0, INK);
         let (w, h) = area
             .estimate_text_size(&cost.label, &style)
@@ -382,10 +363,6 @@ fn label_costs(
             .find(free)
             .unwrap_or(rectangle(&(true, 0)));
         taken.push(place);
-        let family = families
-            .iter()
-            .position(|f| *f == cost.family)
-            .unwrap_or_default();
         let dark = COLOURS[family % COLOURS.len()].map(|c| (f32::from(c) * 0.7) as u8);
         let style = text_style(13.0, dark).pos(Pos::new(HPos::Left, VPos::Center));
         let at = (place[0], (place[1] + place[3]) / 2);
@@ -481,11 +458,13 @@ mod tests {
             message.contains("position") && message.contains("point 1"),
             "{message}"
         );
-        let cost = |milliseconds, error| Cost {
-            family: "floors".into(),
-            label: "hold".into(),
-            milliseconds,
-            error,
+        let cost = |milliseconds, error| Family {
+            joined: false,
+            costs: vec![Cost {
+                label: "hold".into(),
+                milliseconds,
+                error,
+            }],
         };
         assert!(matches!(
             trade_off("t", "e", &[], 300, 200),
@@ -510,12 +489,15 @@ mod tests {
             }
         }
         let same = Cost {
-            family: "a".into(),
-            label: "b".into(),
+            label: "a".into(),
             milliseconds: 1e-9,
             error: 0.0,
         };
-        trade_off("t", "e", &[same.clone(), same], 400, 300).unwrap();
+        let twice = Family {
+            joined: true,
+            costs: vec![same.clone(), same],
+        };
+        trade_off("t", "e", &[twice], 400, 300).unwrap();
     }
 
     #[test]

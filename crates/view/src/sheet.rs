@@ -11,7 +11,7 @@
 use drape_dataset::sequence::{Frame, SequenceHeader};
 
 use crate::error::ViewError;
-use crate::picture::{Anchor, Picture, Rgb};
+use crate::picture::{Anchor, Picture, Rgb, text_width};
 use crate::raster::{Camera, Paint, Surface, not_finite, render};
 
 /// Paper of all sheets.
@@ -137,10 +137,8 @@ pub fn contact_sheet(clips: &[Clip], options: &SheetOptions) -> Result<Picture, 
             sheet.text((14, middle - 10), clip.label, 14.0, Anchor::Left, INK)?;
             sheet.text((14, middle + 10), view, 13.0, Anchor::Left, [130, 130, 134])?;
             for (column, (number, frame)) in clip.frames.iter().enumerate() {
-                let mut camera = camera;
-                for axis in 0..3 {
-                    camera.centre[axis] += follow[column][axis];
-                }
+                let centre = std::array::from_fn(|i| camera.centre[i] + follow[column][i]);
+                let camera = Camera { centre, ..camera };
                 let cell = draw_frame(clip.header, frame, &camera, width, height);
                 let left = LABEL_WIDTH + column * width;
                 sheet.paste(&cell, left, top + STRIP_HEIGHT);
@@ -148,7 +146,7 @@ pub fn contact_sheet(clips: &[Clip], options: &SheetOptions) -> Result<Picture, 
                 sheet.text(place, &format!("frame {number}"), 13.0, Anchor::Centre, INK)?;
                 let broken: usize = frame.garments.iter().map(|g| not_finite(g)).sum();
                 if broken > 0 {
-                    let text = format!("{broken} vertices not finite");
+                    let text = format!("vertices not finite: {broken}");
                     let place = (left + width / 2, top + row_height - 10);
                     sheet.text(place, &text, 12.0, Anchor::Centre, [190, 20, 20])?;
                 }
@@ -222,8 +220,7 @@ fn draw_title(sheet: &mut Picture, clip: &Clip) -> Result<(), ViewError> {
     let mut right = sheet.width() - 14;
     for (index, garment) in clip.header.garments.iter().enumerate().rev() {
         sheet.text((right, middle), &garment.name, 14.0, Anchor::Right, INK)?;
-        // The font's letters are at most 0.62 of its size wide on average.
-        right = right.saturating_sub((garment.name.chars().count() as f32 * 8.7) as usize + 20);
+        right = right.saturating_sub(text_width(&garment.name, 14.0)? + 20);
         sheet.paste(
             &Picture::new(14, 14, garment_colour(index)),
             right,
