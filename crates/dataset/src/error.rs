@@ -1,5 +1,6 @@
 //! The crate's one error type. Each message says where (file, frame, garment,
-//! vertex), what was expected, what was found, and what to do about it.
+//! vertex), what was expected, what was found, and what to do about it. The
+//! message is whole: no variant has a `source()` that would repeat a part.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -12,14 +13,14 @@ pub type Result<T, E = DatasetError> = std::result::Result<T, E>;
 #[non_exhaustive]
 pub enum DatasetError {
     /// The operating system refused: missing file, no permission, disk full.
-    #[error("cannot {action} {}: {source}", path.display())]
+    #[error("cannot {action} {}: {reason}", path.display())]
     Io {
         /// What was tried: "open", "read", "write".
         action: &'static str,
         /// On which file or folder.
         path: PathBuf,
         /// The system's reason.
-        source: io::Error,
+        reason: io::Error,
     },
     /// The file is something else.
     #[error("{}: not a drape sequence: expected {expected}, found {found}", path.display())]
@@ -100,12 +101,12 @@ pub enum DatasetError {
         found: String,
     },
     /// Any of the above, in a named file.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {fault}", path.display())]
     InFile {
         /// The file.
         path: PathBuf,
         /// What is wrong in it.
-        source: Box<DatasetError>,
+        fault: Box<DatasetError>,
     },
 }
 
@@ -128,7 +129,7 @@ impl DatasetError {
     pub fn in_file(self, path: impl AsRef<Path>) -> Self {
         Self::InFile {
             path: path.as_ref().to_path_buf(),
-            source: Box::new(self),
+            fault: Box::new(self),
         }
     }
 
@@ -137,10 +138,10 @@ impl DatasetError {
         path: impl AsRef<Path>,
     ) -> impl FnOnce(io::Error) -> Self {
         let path = path.as_ref().to_path_buf();
-        move |source| Self::Io {
+        move |reason| Self::Io {
             action,
             path,
-            source,
+            reason,
         }
     }
 }

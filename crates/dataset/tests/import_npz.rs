@@ -302,7 +302,7 @@ fn a_file_that_lacks_something_says_what() {
     );
     refused(&|s| s.set_text("settings", "{}"), &["settings", "gravity"]);
     refused(
-        &|s| s.numbers[2].1 = vec![4, 2, 3],
+        &|s| s.numbers[5].1 = vec![4, 2, 3],
         &["garment0_vertices", "4 frames"],
     );
     refused(
