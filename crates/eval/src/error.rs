@@ -87,6 +87,9 @@ pub enum EvalError {
         /// Cause.
         reason: String,
     },
+    /// A file of the data set cannot be used.
+    #[error(transparent)]
+    Dataset(#[from] drape_dataset::DatasetError),
     /// A person stopped the program.
     #[error("stopped by Ctrl-C")]
     Stopped,

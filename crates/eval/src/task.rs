@@ -7,7 +7,10 @@
 //! garments of frames `s+1 ..= s+steps`. Two velocities are needed (the model's
 //! state is the current and the previous frame), so `s` is at least 2.
 
-use drape_dataset::sequence::{Frame, SequenceHeader};
+use drape_dataset::{
+    SequenceReader,
+    sequence::{Frame, SequenceHeader},
+};
 
 use crate::EvalError;
 
@@ -52,6 +55,27 @@ impl Clip {
         start + steps + 1
     }
 
+    /// Reads the frames that a rollout needs.
+    ///
+    /// # Errors
+    /// A damaged file, or fewer frames than needed.
+    pub fn read(reader: &SequenceReader, start: usize, steps: usize) -> Result<Self, EvalError> {
+        let header = reader.header().clone();
+        let needed = Self::frames_needed(start, steps);
+        let found = reader.frame_count();
+        if found < needed {
+            return Err(EvalError::TooShort {
+                sequence: header.name,
+                found,
+                needed,
+                start,
+                steps,
+            });
+        }
+        let frames = reader.frames(0..needed).collect::<Result<_, _>>()?;
+        Ok(Self { header, frames })
+    }
+
     /// Cuts the clip into what a method may see and what it is measured against.
     ///
     /// # Errors
@@ -94,6 +118,16 @@ impl Clip {
 }
 
 impl Task {
+    /// Predicted frame `start + 1 + step` as it would stand in a file.
+    pub fn frame_with(&self, step: usize, garments: Vec<Positions>) -> Frame {
+        let given = &self.frames[self.start + 1 + step];
+        Frame {
+            garments,
+            intersections: None,
+            ..given.clone()
+        }
+    }
+
     /// The same task with only its first `steps` steps, for warming up.
     pub fn shortened(&self, steps: usize) -> Task {
         let steps = steps.min(self.steps);

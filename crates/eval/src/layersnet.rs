@@ -1,0 +1,140 @@
+//! LayersNet as a [`Method`]: what it needs per sequence is prepared once
+//! (patches, attributes, the first state); a step is one forward pass from the
+//! model's own prediction, with the body, wind and gravity of the next frame.
+//!
+//! States are relative to the root's translation (`drape_dataset::sample`), so
+//! a prediction becomes absolute by adding the root of the predicted frame.
+
+use drape_dataset::{
+    sample::{FrameStates, Outfit, State, StatePair, Step, gravity_per_frame, pair},
+    statistics::Statistics,
+};
+use drape_model::LayersNet;
+use drape_train::step::advance;
+
+use crate::{
+    EvalError,
+    method::Method,
+    task::{Positions, Task},
+};
+
+/// A trained LayersNet.
+pub struct LayersNetMethod {
+    name: String,
+    net: LayersNet,
+    statistics: Statistics,
+    patch_size_m: f32,
+    rolling: Option<Rolling>,
+}
+
+/// The rollout under way.
+struct Rolling {
+    outfit: Outfit,
+    state: Vec<StatePair>,
+    /// Body, root and wind of the newest frame.
+    now: FrameStates,
+    gravity: [f32; 3],
+}
+
+impl LayersNetMethod {
+    /// A network with the statistics and the patch size (real metres) it was trained with.
+    pub fn new(
+        name: impl Into<String>,
+        net: LayersNet,
+        statistics: Statistics,
+        patch_size_m: f32,
+    ) -> Self {
+        Self {
+            name: name.into(),
+            net,
+            statistics,
+            patch_size_m,
+            rolling: None,
+        }
+    }
+
+    fn failed(&self, task: &Task, frame: usize, reason: impl ToString) -> EvalError {
+        EvalError::Method {
+            method: self.name.clone(),
+            sequence: task.header.name.clone(),
+            frame,
+            reason: reason.to_string(),
+        }
+    }
+}
+
+impl Method for LayersNetMethod {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn threads(&self) -> usize {
+        rayon::current_num_threads()
+    }
+
+    fn begin(&mut self, task: &Task) -> Result<(), EvalError> {
+        let outfit = Outfit::new(&task.header, self.patch_size_m)?;
+        let older = states(task, task.start - 1);
+        let now = states(task, task.start);
+        let state = now
+            .garments
+            .iter()
+            .zip(&older.garments)
+            .map(|(now, older)| pair(now, older))
+            .collect();
+        self.rolling = Some(Rolling {
+            outfit,
+            state,
+            now,
+            gravity: gravity_per_frame(&task.header),
+        });
+        Ok(())
+    }
+
+    fn step(&mut self, task: &Task, frame: usize) -> Result<Vec<Positions>, EvalError> {
+        let Some(mut rolling) = self.rolling.take() else {
+            return Err(self.failed(task, frame, "a step before the beginning of a rollout"));
+        };
+        let next = states(task, frame);
+        let step = Step::new(&next, &rolling.now, &self.statistics, rolling.gravity);
+        let accelerations: Vec<f32> = self
+            .net
+            .forward(
+                &rolling.outfit,
+                &self.statistics.vertices,
+                &rolling.state,
+                &step,
+            )
+            .and_then(|prediction| Ok(prediction.acceleration.flatten_all()?.to_vec1()?))
+            .map_err(|error| self.failed(task, frame, error))?;
+        let predicted = advance(&rolling.state, &accelerations);
+        for (state, next) in rolling.state.iter_mut().zip(&predicted) {
+            let [a, b, c, d, e, f, ..] = *state;
+            *state = pair(next, &[a, b, c, d, e, f]);
+        }
+        let garments = absolute(&predicted, &rolling.outfit, &next);
+        rolling.now = next;
+        self.rolling = Some(rolling);
+        Ok(garments)
+    }
+}
+
+fn states(task: &Task, frame: usize) -> FrameStates {
+    let older = |by: usize| frame.checked_sub(by).map(|older| &task.frames[older]);
+    FrameStates::new(&task.frames[frame], older(1), older(2))
+}
+
+/// `[garment][vertex, 3]` in the world.
+fn absolute(states: &[State], outfit: &Outfit, frame: &FrameStates) -> Vec<Positions> {
+    let root = frame.root;
+    outfit
+        .garment_offsets
+        .windows(2)
+        .map(|range| {
+            states[range[0]..range[1]]
+                .iter()
+                .map(|s| [0, 1, 2].map(|k| s[k] + root[k]))
+                .collect()
+        })
+        .collect()
+}
