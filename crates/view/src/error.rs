@@ -57,12 +57,12 @@ pub enum ViewError {
         found: String,
     },
     /// A mesh that cannot be drawn.
-    #[error("{place}: {source}")]
+    #[error("{place}: {defect}")]
     Mesh {
         /// Garment, frame or row.
         place: String,
         /// The defect.
-        source: drape_geometry::GeometryError,
+        defect: drape_geometry::GeometryError,
     },
     /// The plotting library refused.
     #[error("cannot draw {what}: {reason}")]
@@ -73,12 +73,12 @@ pub enum ViewError {
         reason: String,
     },
     /// The file could not be written.
-    #[error("cannot write {}: {source}", .path.display())]
+    #[error("cannot write {}: {reason}", .path.display())]
     Write {
         /// The file.
         path: PathBuf,
         /// The cause.
-        source: png::EncodingError,
+        reason: png::EncodingError,
     },
 }
 

@@ -139,7 +139,7 @@ fn in_uv(garment: &Garment, colours: &[Rgb]) -> Result<Picture, ViewError> {
         faces: &turned,
         paint: Paint::Faces(colours),
     };
-    let mut picture = render(&[surface], &camera, CELL, CELL, [255; 3]);
+    let mut picture = render(&[surface], &camera, CELL, CELL, BACKGROUND);
 
     let place = |u: f32, v: f32| {
         let x = CELL as f32 / 2.0 + (u - camera.centre[0]) / camera.units_per_pixel;
@@ -164,6 +164,37 @@ fn in_uv(garment: &Garment, colours: &[Rgb]) -> Result<Picture, ViewError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sheet::tests::header;
+
+    #[test]
+    fn patches_appear_on_the_mesh_and_in_uv_and_must_fit_the_faces() {
+        let garments = header().garments;
+        let sheet = patch_sheet(&garments, &[vec![4]]).unwrap();
+        let [r, g, b] = patch_colour(4).map(i32::from);
+        let similar = |x: usize, y: usize| {
+            let [p, q, s] = sheet.pixel(x, y).map(i32::from);
+            // Shading changes brightness, hardly the ratio of channels.
+            (p * g - q * r).abs() < 2500 && (q * b - s * g).abs() < 2500 && p + q + s < 700
+        };
+        for column in [0, 2] {
+            let count = (column * CELL..(column + 1) * CELL)
+                .flat_map(|x| (STRIP_HEIGHT..sheet.height()).map(move |y| (x, y)))
+                .filter(|&(x, y)| similar(x, y))
+                .count();
+            assert!(count > CELL * CELL / 10, "column {column}: {count} pixels");
+        }
+        let message = patch_sheet(&garments, &[vec![0, 1]])
+            .unwrap_err()
+            .to_string();
+        assert!(
+            message.contains("sheet") && message.contains("found 2"),
+            "{message}"
+        );
+        assert!(matches!(
+            patch_sheet(&[], &[]),
+            Err(ViewError::Empty { .. })
+        ));
+    }
 
     #[test]
     fn consecutive_patches_have_clearly_different_colours() {

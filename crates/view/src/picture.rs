@@ -128,9 +128,9 @@ impl Picture {
             writer.write_image_data(&self.pixels)?;
             writer.finish()
         };
-        encode().map_err(|source| ViewError::Write {
+        encode().map_err(|reason| ViewError::Write {
             path: path.to_path_buf(),
-            source,
+            reason,
         })
     }
 

@@ -173,14 +173,14 @@ pub(crate) fn check_mesh(
         None => Ok(()),
         Some(face) => {
             let vertex = faces[face].into_iter().max().unwrap_or_default();
-            let source = drape_geometry::GeometryError::IndexOutOfRange {
+            let defect = drape_geometry::GeometryError::IndexOutOfRange {
                 face,
                 vertex,
                 vertex_count,
             };
             Err(ViewError::Mesh {
                 place: place(),
-                source,
+                defect,
             })
         }
     }
@@ -309,8 +309,147 @@ fn framed_points(clip: &Clip, follow: &[[f32; 3]]) -> Vec<[f32; 3]> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
+    use drape_dataset::registry::GarmentKind;
+    use drape_dataset::sequence::{BodyTopology, Garment, Material, SceneMeta};
+
     use super::*;
+
+    /// A flat person (two triangles, facing -Y) with one triangle of cloth in front.
+    pub(crate) fn header() -> SequenceHeader {
+        SequenceHeader {
+            name: "flat".into(),
+            scene: SceneMeta {
+                scale: 10.0,
+                fps: 30.0,
+                seed: 0,
+                engine: "by hand".into(),
+                engine_version: "1".into(),
+                effects: vec![],
+                gravity: [0.0, 0.0, -98.1],
+                body_friction: 60.0,
+                metres_per_uv: 1.0,
+                recipe: String::new(),
+                warnings: vec![],
+            },
+            body: BodyTopology {
+                rest: vec![],
+                faces: vec![[0, 1, 2], [0, 2, 3]],
+                vertex_count: 4,
+            },
+            garments: vec![Garment {
+                name: "sheet".into(),
+                kind: GarmentKind::Skirt,
+                layer: 0,
+                rest: vec![[-2., -1., 4.], [2., -1., 4.], [0., -1., 12.]],
+                faces: vec![[0, 1, 2]],
+                uv: vec![[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]],
+                uv_faces: vec![[0, 1, 2]],
+                panel_of_face: vec![0],
+                panels: vec!["front".into()],
+                material: Material {
+                    mass: 0.3,
+                    tension: 50.0,
+                    compression: 50.0,
+                    shear: 50.0,
+                    bending: 50.0,
+                    friction: 60.0,
+                },
+            }],
+        }
+    }
+
+    fn frame_at(x: f32, y: f32) -> Frame {
+        let body = [[-3., 0., 0.], [3., 0., 0.], [3., 0., 17.], [-3., 0., 17.]];
+        let moved = |p: &[f32; 3]| [p[0] + x, p[1] + y, p[2]];
+        Frame {
+            body: body.iter().map(moved).collect(),
+            garments: vec![header().garments[0].rest.iter().map(moved).collect()],
+            ..Frame::default()
+        }
+    }
+
+    fn sheet_of(frames: &[Frame]) -> Result<Picture, ViewError> {
+        let header = header();
+        let clip = Clip {
+            label: "clip",
+            header: &header,
+            frames: frames.iter().enumerate().collect(),
+        };
+        contact_sheet(
+            &[clip],
+            &SheetOptions {
+                cell_height: 80,
+                ..SheetOptions::default()
+            },
+        )
+    }
+
+    #[test]
+    fn a_walk_stays_in_its_cell_however_far_it_goes() {
+        let still = sheet_of(&[frame_at(0.0, 0.0), frame_at(0.0, 0.0)]).unwrap();
+        let walk = sheet_of(&[frame_at(0.0, 0.0), frame_at(64.0, -512.0)]).unwrap();
+        // Far from the origin f32 rounds differently: samples at outlines may flip.
+        let differing = (0..still.width() * still.height())
+            .map(|i| (i % still.width(), i / still.width()))
+            .filter(|&(x, y)| still.pixel(x, y) != walk.pixel(x, y))
+            .count();
+        assert!(
+            differing * 200 < still.width() * still.height(),
+            "{differing} pixels differ"
+        );
+    }
+
+    #[test]
+    fn an_exploded_vertex_leaves_the_person_as_large_as_before() {
+        let sound = frame_at(0.0, 0.0);
+        let mut exploded = sound.clone();
+        exploded.garments[0][2] = [0.0, -1e5, 1e5];
+        let (before, after) = (sheet_of(&[sound]).unwrap(), sheet_of(&[exploded]).unwrap());
+        assert_eq!(
+            (before.width(), before.height()),
+            (after.width(), after.height())
+        );
+        // The person's feet and the paper beside them.
+        let row = TITLE_HEIGHT + STRIP_HEIGHT + 74;
+        for x in LABEL_WIDTH..before.width() {
+            assert_eq!(before.pixel(x, row), after.pixel(x, row));
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_is_named() {
+        let mut short = frame_at(0.0, 0.0);
+        short.garments[0].pop();
+        let message = sheet_of(&[frame_at(0.0, 0.0), short.clone()])
+            .unwrap_err()
+            .to_string();
+        assert!(
+            message.contains("frame 1") && message.contains("sheet"),
+            "{message}"
+        );
+        short.garments.clear();
+        let message = sheet_of(&[short]).unwrap_err().to_string();
+        assert!(message.contains("expected 1, found 0"), "{message}");
+        assert!(matches!(sheet_of(&[]), Err(ViewError::Empty { .. })));
+        assert!(matches!(
+            contact_sheet(&[], &SheetOptions::default()),
+            Err(ViewError::Empty { .. })
+        ));
+    }
+
+    #[test]
+    fn a_frame_that_is_not_finite_is_drawn_and_says_so() {
+        let mut broken = frame_at(0.0, 0.0);
+        broken.garments[0][1][0] = f32::NAN;
+        let sheet = sheet_of(&[broken]).unwrap();
+        let pixels = (0..sheet.height()).flat_map(|y| (0..sheet.width()).map(move |x| (x, y)));
+        let red = pixels.filter(|&(x, y)| {
+            let [r, g, b] = sheet.pixel(x, y);
+            r > 150 && g < 90 && b < 90
+        });
+        assert!(red.count() > 20);
+    }
 
     #[test]
     fn spread_frames_are_even_and_hold_both_ends() {

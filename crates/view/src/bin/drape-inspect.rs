@@ -57,6 +57,11 @@ fn main() -> ExitCode {
 /// Whether all checks passed.
 fn run(arguments: &Arguments) -> Result<bool> {
     ensure!(arguments.frames > 0, "--frames 0: expected at least 1");
+    let patch_size = arguments.patch_size;
+    ensure!(
+        patch_size.is_finite() && patch_size > 0.0,
+        "--patch-size {patch_size}: expected a positive length in metres, such as 0.05"
+    );
     let reader = SequenceReader::open(&arguments.file)?;
     let chosen = spread(reader.frame_count(), arguments.frames);
     let inspection = Inspection::of(&reader, &chosen);
@@ -69,7 +74,7 @@ fn run(arguments: &Arguments) -> Result<bool> {
             &picture_path(arguments, &arguments.sheet, "sheet")?,
         )?;
         let path = picture_path(arguments, &arguments.patches, "patches")?;
-        draw_patches(&reader, arguments.patch_size, &path)?;
+        draw_patches(&reader, patch_size, &path)?;
     }
     Ok(inspection.passed())
 }
