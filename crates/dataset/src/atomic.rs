@@ -24,7 +24,9 @@ pub(crate) fn temporary_beside(path: &Path) -> Result<NamedTempFile> {
         use std::os::unix::fs::PermissionsExt;
         builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
-    builder.tempfile_in(folder).map_err(DatasetError::io("create a file in", folder))
+    builder
+        .tempfile_in(folder)
+        .map_err(DatasetError::io("create a file in", folder))
 }
 
 /// Makes `file` durable under the name `path`, replacing a file of that name.
@@ -42,6 +44,7 @@ pub(crate) fn persist(file: NamedTempFile, path: &Path) -> Result<()> {
 /// Writes a small file in one go.
 pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     let mut file = temporary_beside(path)?;
-    file.write_all(bytes).map_err(DatasetError::io("write", path))?;
+    file.write_all(bytes)
+        .map_err(DatasetError::io("write", path))?;
     persist(file, path)
 }

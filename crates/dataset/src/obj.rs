@@ -106,13 +106,20 @@ impl GarmentMesh {
             }
         }
         if mesh.faces.is_empty() {
-            return Err(DatasetError::invalid("faces", "at least one triangle", "none"));
+            return Err(DatasetError::invalid(
+                "faces",
+                "at least one triangle",
+                "none",
+            ));
         }
         for (face, line) in face_line.iter().enumerate() {
             check_area(&mesh, face).map_err(|error| error.at(&format!("line {line}")))?;
         }
         let mut used = vec![false; mesh.rest.len()];
-        mesh.faces.as_flattened().iter().for_each(|&vertex| used[vertex as usize] = true);
+        mesh.faces
+            .as_flattened()
+            .iter()
+            .for_each(|&vertex| used[vertex as usize] = true);
         if let Some(loose) = used.iter().position(|used| !used) {
             return Err(DatasetError::invalid(
                 format!("line {}, vertex {loose}", vertex_line[loose]),
@@ -167,7 +174,10 @@ pub fn write_garment(
         )
         .in_file(path));
     }
-    let mut text = format!("# {} ({})\no {}\n", garment.name, garment.kind, garment.name);
+    let mut text = format!(
+        "# {} ({})\no {}\n",
+        garment.name, garment.kind, garment.name
+    );
     // Writing to a String cannot fail.
     for [x, y, z] in positions {
         writeln!(text, "v {x} {y} {z}").expect("memory");
@@ -190,9 +200,13 @@ fn numbers<'a, const N: usize>(
     let mut values = [0.0; N];
     for value in &mut values {
         let word = words.next().unwrap_or("the end of the line");
-        *value = word.parse::<f32>().ok().filter(|x| x.is_finite()).ok_or_else(|| {
-            DatasetError::invalid(what, format!("{N} finite numbers"), format!("{word:?}"))
-        })?;
+        *value = word
+            .parse::<f32>()
+            .ok()
+            .filter(|x| x.is_finite())
+            .ok_or_else(|| {
+                DatasetError::invalid(what, format!("{N} finite numbers"), format!("{word:?}"))
+            })?;
     }
     Ok(values)
 }
@@ -229,10 +243,13 @@ fn index(what: &str, word: &str, count: usize) -> Result<u32> {
         Some(i) if i < 0 => i.checked_add(count as i64),
         _ => None,
     };
-    from_zero.filter(|i| (0..count as i64).contains(i)).map(|i| i as u32).ok_or_else(|| {
-        let expected = format!("a {what} index from 1 to {count} (the {what} lines so far)");
-        DatasetError::invalid("face", expected, format!("{word:?}"))
-    })
+    from_zero
+        .filter(|i| (0..count as i64).contains(i))
+        .map(|i| i as u32)
+        .ok_or_else(|| {
+            let expected = format!("a {what} index from 1 to {count} (the {what} lines so far)");
+            DatasetError::invalid("face", expected, format!("{word:?}"))
+        })
 }
 
 fn check_area(mesh: &GarmentMesh, face: usize) -> Result<()> {
@@ -247,7 +264,10 @@ fn check_area(mesh: &GarmentMesh, face: usize) -> Result<()> {
         return Err(DatasetError::invalid(
             format!("face {face}"),
             "a triangle with an area (delete or merge degenerate faces)",
-            format!("corners {:?}", mesh.faces[face].map(|i| mesh.rest[i as usize])),
+            format!(
+                "corners {:?}",
+                mesh.faces[face].map(|i| mesh.rest[i as usize])
+            ),
         ));
     }
     Ok(())

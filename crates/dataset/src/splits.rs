@@ -72,7 +72,10 @@ impl DatasetIndex {
             format: [FORMAT_MAJOR, FORMAT_MINOR],
             sequences: Vec::new(),
         };
-        Self { folder: folder.as_ref().to_path_buf(), contents }
+        Self {
+            folder: folder.as_ref().to_path_buf(),
+            contents,
+        }
     }
 
     /// Reads the index of a folder and looks whether its files are there.
@@ -90,9 +93,16 @@ impl DatasetIndex {
             && major > u64::from(FORMAT_MAJOR)
         {
             let found = format!("{major}");
-            return Err(DatasetError::NewerFormat { path, found, supported: FORMAT_MAJOR });
+            return Err(DatasetError::NewerFormat {
+                path,
+                found,
+                supported: FORMAT_MAJOR,
+            });
         }
-        let index = Self { folder, contents: parse(&path, &text)? };
+        let index = Self {
+            folder,
+            contents: parse(&path, &text)?,
+        };
         let mut names = BTreeSet::new();
         for entry in index.sequences() {
             let place = format!("sequence {:?}", entry.file);
@@ -129,12 +139,19 @@ impl DatasetIndex {
         let reader = SequenceReader::open(&path)?;
         let entry = SequenceEntry {
             split,
-            garments: reader.header().garments.iter().map(|garment| garment.kind).collect(),
+            garments: reader
+                .header()
+                .garments
+                .iter()
+                .map(|garment| garment.kind)
+                .collect(),
             frames: reader.frame_count(),
             sha256: file_sha256(&path)?,
             file,
         };
-        self.contents.sequences.retain(|other| other.file != entry.file);
+        self.contents
+            .sequences
+            .retain(|other| other.file != entry.file);
         self.contents.sequences.push(entry);
         Ok(())
     }
@@ -159,7 +176,11 @@ impl DatasetIndex {
     /// # Errors
     /// The split is empty; the error says how many the others have.
     pub fn split(&self, split: Split) -> Result<Vec<&SequenceEntry>> {
-        let of = |split| self.sequences().iter().filter(move |entry| entry.split == split);
+        let of = |split| {
+            self.sequences()
+                .iter()
+                .filter(move |entry| entry.split == split)
+        };
         let entries: Vec<_> = of(split).collect();
         if entries.is_empty() {
             let mut found = String::from("none (");
@@ -169,8 +190,10 @@ impl DatasetIndex {
                 write!(found, "{comma}{other}: {}", of(other).count()).expect("memory");
             }
             let place = format!("split {split}");
-            return Err(DatasetError::invalid(place, "at least one sequence", found + ")")
-                .in_file(self.folder.join(INDEX_FILE)));
+            return Err(
+                DatasetError::invalid(place, "at least one sequence", found + ")")
+                    .in_file(self.folder.join(INDEX_FILE)),
+            );
         }
         Ok(entries)
     }

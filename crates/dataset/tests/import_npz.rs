@@ -10,6 +10,8 @@ use drape_dataset::registry::{Effect, GarmentKind};
 use drape_dataset::sequence::Intersections;
 use npyz::WriterBuilder;
 use npyz::npz::NpzWriter;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use tempfile::TempDir;
 
 /// A file under construction: arrays to write, in the source's types.
@@ -340,4 +342,26 @@ fn a_file_that_lacks_something_says_what() {
         .unwrap_err()
         .to_string();
     assert!(missing.contains("cannot open"), "{missing}");
+}
+
+#[test]
+fn a_damaged_file_is_an_error_or_tells_the_same() {
+    let folder = TempDir::new().unwrap();
+    let path = Source::new().write(folder.path());
+    let sound = std::fs::read(&path).unwrap();
+    let expected = import_npz(&path).unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    for trial in 0..600 {
+        let mut bytes = sound.clone();
+        let at = rng.random_range(0..bytes.len());
+        if trial % 3 == 0 {
+            bytes.truncate(at);
+        } else {
+            bytes[at] ^= rng.random_range(1..=255u8);
+        }
+        std::fs::write(&path, &bytes).unwrap();
+        if let Ok(found) = import_npz(&path) {
+            assert_eq!(found, expected, "byte {at} changed the content unnoticed");
+        }
+    }
 }

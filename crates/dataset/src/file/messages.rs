@@ -220,11 +220,11 @@ fn pack_u32(values: &[u32]) -> Bytes {
 }
 
 fn unpack_f32<const N: usize>(bytes: &[u8], place: &str) -> Result<Vec<[f32; N]>> {
-    rows(bytes, place, |word| f32::from_le_bytes(word))
+    rows(bytes, place, f32::from_le_bytes)
 }
 
 fn unpack_u32<const N: usize>(bytes: &[u8], place: &str) -> Result<Vec<[u32; N]>> {
-    rows(bytes, place, |word| u32::from_le_bytes(word))
+    rows(bytes, place, u32::from_le_bytes)
 }
 
 /// Splits `bytes` into rows of `N` four-byte words.

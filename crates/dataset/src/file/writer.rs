@@ -28,6 +28,8 @@ pub struct SequenceWriter {
     path: PathBuf,
     frame_channel: u16,
     frames: usize,
+    /// A write failed: part of a chunk may be in the file, which must not be finished.
+    failed: bool,
 }
 
 impl SequenceWriter {
@@ -62,6 +64,7 @@ impl SequenceWriter {
             path,
             frame_channel,
             frames: 0,
+            failed: false,
         };
         let message = messages::header_to_message(header).encode_to_vec();
         writer.write(header_channel, 0, &message)?;
@@ -94,8 +97,9 @@ impl SequenceWriter {
     /// Completes the file and gives it its name.
     ///
     /// # Errors
-    /// No frame was pushed, or the disk fails; then no file appears.
+    /// No frame was pushed, or the disk fails or failed before; then no file appears.
     pub fn finish(mut self) -> Result<()> {
+        self.refuse_after_failure()?;
         if self.frames == 0 {
             return Err(
                 DatasetError::invalid("sequence", "at least one frame", "none").in_file(&self.path),
@@ -121,10 +125,21 @@ impl SequenceWriter {
             log_time: time_ns,
             publish_time: time_ns,
         };
-        self.mcap
+        self.refuse_after_failure()?;
+        let written = self
+            .mcap
             .write_to_known_channel(&header, message)
-            .and_then(|()| self.mcap.flush())
-            .map_err(|error| write_error(&self.path, error))
+            .and_then(|()| self.mcap.flush());
+        self.failed = written.is_err();
+        written.map_err(|error| write_error(&self.path, error))
+    }
+
+    fn refuse_after_failure(&self) -> Result<()> {
+        if self.failed {
+            let reason = io::Error::other("an earlier write to this file failed");
+            return Err(DatasetError::io("write", &self.path)(reason));
+        }
+        Ok(())
     }
 }
 

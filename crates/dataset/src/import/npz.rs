@@ -116,7 +116,7 @@ pub fn import_npz(path: impl AsRef<Path>) -> Result<Imported> {
             .is_some_and(|damping| damping > 0.0),
         self_collision: settings["cloth"]["collision"]["use_self_collision"] == true,
         waistband: pinned > 0,
-        body: body_faces.len() > 1,
+        body: !body_faces.is_empty(),
     };
     let header = SequenceHeader {
         name: path
@@ -409,8 +409,7 @@ fn roots(
         .enumerate()
         .map(|(frame, (rotation, body))| {
             let error = orthogonality_error(rotation);
-            // NaN counts as wrong, too.
-            if !(error < 1e-3) {
+            if error.is_nan() || error > 1e-3 {
                 let found = format!("frame {frame}: {rotation:?}, off by {error:.1e}");
                 return Err(arrays.invalid("pose_rotmats", "rotation matrices", found));
             }

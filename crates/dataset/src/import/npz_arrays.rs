@@ -1,11 +1,11 @@
 //! Arrays of an `.npz` file by name, with their shapes checked and in C order.
 
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{self, BufReader, Cursor, Read};
 use std::path::{Path, PathBuf};
 
-use npyz::npz::NpzArchive;
-use npyz::{DType, Order, TypeChar};
+use npyz::npz::{self, NpzArchive};
+use npyz::{DType, Deserialize, NpyFile, Order, TypeChar};
 
 use crate::error::{DatasetError, Result};
 
@@ -121,13 +121,10 @@ impl Arrays {
 
     /// Unicode strings.
     pub fn strings(&mut self, name: &str) -> Result<Vec<String>> {
-        let path = self.path.clone();
         let file = self.entry(name)?;
-        let dtype = file.dtype();
-        file.into_vec::<String>().map_err(|error| {
-            let found = format!("{} ({error})", dtype.descr());
-            DatasetError::invalid(format!("array {name:?}"), "text (dtype <U)", found).in_file(path)
-        })
+        let dtype = file.dtype().descr();
+        file.into_vec()
+            .map_err(|error| self.invalid(name, "text (dtype <U)", format!("{dtype} ({error})")))
     }
 
     /// One string that holds JSON.
@@ -136,8 +133,7 @@ impl Arrays {
         let [text] = strings.as_slice() else {
             return Err(self.invalid(name, "one text", format!("{} texts", strings.len())));
         };
-        serde_json::from_str(text)
-            .map_err(|error| self.invalid(name, "JSON", format!("{error} in {text:.40?}")))
+        serde_json::from_str(text).map_err(|error| self.invalid(name, "JSON", error.to_string()))
     }
 
     fn shape(&self, name: &str, expected: &str, found: &[usize]) -> DatasetError {
@@ -148,27 +144,24 @@ impl Arrays {
         )
     }
 
-    fn entry(&mut self, name: &str) -> Result<npyz::NpyFile<impl std::io::Read + '_>> {
+    fn entry(&mut self, name: &str) -> Result<NpyFile<Cursor<Vec<u8>>>> {
         if !self.has(name) {
             let mut names: Vec<_> = self.archive.array_names().map(str::to_owned).collect();
             names.sort();
             return Err(self.invalid(name, "this array", format!("only {}", names.join(", "))));
         }
-        let path = self.path.clone();
-        match self.archive.by_name(name) {
-            Ok(Some(file)) => Ok(file),
-            Ok(None) => Err(DatasetError::invalid(name, "this array", "none").in_file(path)),
-            Err(error) => {
-                Err(
-                    DatasetError::invalid(format!("array {name:?}"), "an array", error.to_string())
-                        .in_file(path),
-                )
-            }
-        }
+        // Whole entry first: the zip's checksum is compared only at its end.
+        let entry = npz::file_name_from_array_name(name);
+        let mut bytes = Vec::new();
+        let read = match self.archive.zip_archive().by_name(&entry) {
+            Ok(mut entry) => entry.read_to_end(&mut bytes).map(drop),
+            Err(error) => Err(io::Error::other(error)),
+        };
+        read.and_then(|()| NpyFile::new(Cursor::new(bytes)))
+            .map_err(|error| self.invalid(name, "a readable array", error.to_string()))
     }
 
     fn array(&mut self, name: &str) -> Result<Array> {
-        let path = self.path.clone();
         let file = self.entry(name)?;
         let shape: Vec<usize> = file.shape().iter().map(|&n| n as usize).collect();
         let order = file.order();
@@ -177,46 +170,36 @@ impl Arrays {
             DType::Plain(plain) => Some((plain.type_char(), plain.size_field())),
             _ => None,
         };
-        let wide = |values: std::io::Result<Vec<f32>>| -> std::io::Result<Vec<f64>> {
-            Ok(values?.into_iter().map(f64::from).collect())
-        };
         let values = match kind {
-            Some((TypeChar::Float, 4)) => wide(file.into_vec()),
-            Some((TypeChar::Float, 8)) => file.into_vec(),
-            Some((TypeChar::Int, 4)) => file
-                .into_vec::<i32>()
-                .map(|v| v.into_iter().map(f64::from).collect()),
-            Some((TypeChar::Int, 8)) => file
-                .into_vec::<i64>()
-                .map(|v| v.into_iter().map(|x| x as f64).collect()),
-            Some((TypeChar::Uint, 4)) => file
-                .into_vec::<u32>()
-                .map(|v| v.into_iter().map(f64::from).collect()),
+            Some((TypeChar::Float, 4)) => numbers(file, |x: f32| f64::from(x)),
+            Some((TypeChar::Float, 8)) => numbers(file, |x: f64| x),
+            Some((TypeChar::Int, 4)) => numbers(file, |x: i32| f64::from(x)),
+            Some((TypeChar::Int, 8)) => numbers(file, |x: i64| x as f64),
+            Some((TypeChar::Uint, 4)) => numbers(file, |x: u32| f64::from(x)),
             _ => {
                 let expected = "numbers of type f4, f8, i4, i8 or u4";
-                return Err(DatasetError::invalid(
-                    format!("array {name:?}"),
-                    expected,
-                    dtype.descr(),
-                )
-                .in_file(path));
+                return Err(self.invalid(name, expected, dtype.descr()));
             }
         };
-        let values = values.map_err(|error| {
-            DatasetError::invalid(
-                format!("array {name:?}"),
-                "readable data",
-                error.to_string(),
-            )
-            .in_file(path)
-        })?;
-        let values = if order == Order::Fortran {
-            c_order(&values, &shape)
-        } else {
-            values
+        let values =
+            values.map_err(|error| self.invalid(name, "a readable array", error.to_string()))?;
+        let values = match order {
+            Order::Fortran => c_order(&values, &shape),
+            Order::C => values,
         };
         Ok(Array { shape, values })
     }
+}
+
+/// All entries, in the file's order.
+fn numbers<T: Deserialize>(
+    file: NpyFile<Cursor<Vec<u8>>>,
+    to_f64: impl Fn(T) -> f64,
+) -> io::Result<Vec<f64>> {
+    file.data::<T>()
+        .map_err(io::Error::other)?
+        .map(|value| value.map(&to_f64))
+        .collect()
 }
 
 fn to_rows<const N: usize>(values: &[f64]) -> Vec<[f32; N]> {
