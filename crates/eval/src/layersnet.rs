@@ -10,7 +10,7 @@ use drape_dataset::{
     statistics::Statistics,
 };
 use drape_model::LayersNet;
-use drape_train::step::advance;
+use drape_train::{TrainError, run::RunFolder, step::advance};
 
 use crate::{
     EvalError,
@@ -51,6 +51,21 @@ impl LayersNetMethod {
             patch_size_m,
             rolling: None,
         }
+    }
+
+    /// The model of a run folder, under the folder's name.
+    ///
+    /// # Errors
+    /// When the folder holds no whole checkpoint.
+    pub fn from_run(folder: &RunFolder) -> Result<Self, TrainError> {
+        let model = folder.trained()?;
+        let net = LayersNet::frozen(&model.config.model, &model.parameters)?;
+        Ok(Self::new(
+            format!("LayersNet {}", model.name),
+            net,
+            model.statistics,
+            model.config.patch_size_m,
+        ))
     }
 
     fn failed(&self, task: &Task, frame: usize, reason: impl ToString) -> EvalError {

@@ -21,12 +21,14 @@ use drape_eval::{
     EvalError,
     contest::{Entry, add_frames},
     floors::{Frozen, Hold, Skinned},
+    layersnet::LayersNetMethod,
     pictures::{Strip, sheet},
     plot::error_against_time,
     table::{Conditions, Row, Table, console, csv, json, markdown},
     tally::Tally,
     task::Clip,
 };
+use drape_train::run::RunFolder;
 use indicatif::{ProgressBar, ProgressStyle};
 
 #[global_allocator]
@@ -93,7 +95,10 @@ fn run(arguments: &Arguments) -> Result<()> {
         Entry::new(Box::new(Frozen::default())),
         Entry::new(Box::new(Skinned::default())),
     ];
-    let shown = entries.len() - 1;
+    let floors = entries.len();
+    for run in &runs {
+        entries.push(Entry::new(Box::new(LayersNetMethod::from_run(run)?)));
+    }
     let mut reference_tally = Tally::default();
     let mut sheets = Vec::new();
     let mut outfits: Vec<&[GarmentKind]> = Vec::new();
@@ -117,7 +122,7 @@ fn run(arguments: &Arguments) -> Result<()> {
             let before = bar.position();
             let rollout = method.run(&task, &reference, &mut after_step)?;
             bar.set_position(before + steps as u64);
-            if number >= shown {
+            if number >= floors {
                 predictions
                     .extend(rollout.map(|rollout| (method.name().to_owned(), rollout.frames)));
             }
@@ -165,7 +170,7 @@ fn run(arguments: &Arguments) -> Result<()> {
     let out = arguments
         .out
         .clone()
-        .unwrap_or_else(|| PathBuf::from(RUNS).join("eval"));
+        .unwrap_or_else(|| runs[0].path().join("eval"));
     write(&out, &table)?;
     error_against_time(&table.rows, &[])?.write_png(&out.join("plot.png"))?;
     for (name, picture) in &sheets {
