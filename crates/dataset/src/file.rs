@@ -5,6 +5,7 @@
 //! out frames in any order, from any thread, without holding more than one
 //! frame's bytes.
 
+mod container;
 mod messages;
 mod positional;
 mod reader;

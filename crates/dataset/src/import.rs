@@ -5,8 +5,6 @@
 
 #[cfg(feature = "npz")]
 mod npz;
-#[cfg(feature = "npz")]
-mod npz_arrays;
 
 #[cfg(feature = "npz")]
 pub use npz::{METRES_PER_UV, import_npz};

@@ -344,6 +344,8 @@ fn a_file_that_lacks_something_says_what() {
     assert!(missing.contains("cannot open"), "{missing}");
 }
 
+/// Checksums protect the arrays; the zip's own directory has none, but a name
+/// that changed there is a missing array.
 #[test]
 fn a_damaged_file_is_an_error_or_tells_the_same() {
     let folder = TempDir::new().unwrap();

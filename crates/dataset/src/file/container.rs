@@ -1,0 +1,228 @@
+//! The MCAP container, as far as sequences use it: the index at the end of the
+//! file and the chunks of one message each.
+//!
+//! MCAP readers do not compare checksums unless asked, so this file goes
+//! through the index itself: the summary's CRC when opening, the chunk's CRC at
+//! every access. Bytes that no checksum covers (message indexes, chunk times)
+//! are never used.
+
+use std::fs::File;
+use std::path::Path;
+
+use mcap::records::{ChunkIndex, MessageHeader, Record, op};
+use prost::bytes::Bytes;
+
+use super::PROTOBUF;
+use super::positional::read_at;
+use crate::error::{DatasetError, Result};
+
+/// Opcode and length before each record.
+const RECORD_HEAD: usize = 9;
+/// Footer record: head, summary start, summary offset start, CRC.
+const FOOTER: usize = RECORD_HEAD + 8 + 8 + 4;
+
+/// The file's index, from the summary section at its end.
+pub(super) struct Summary {
+    channels: Vec<mcap::records::Channel>,
+    schemas: Vec<mcap::records::SchemaHeader>,
+    /// Chunks in the file's order.
+    pub(super) chunks: Vec<ChunkIndex>,
+}
+
+impl Summary {
+    /// Reads and checks the summary section.
+    pub(super) fn read(path: &Path, file: &File) -> Result<Self> {
+        let read = |offset: u64, length: usize| {
+            read_at(file, offset, length).map_err(DatasetError::io("read", path))
+        };
+        let size = file
+            .metadata()
+            .map_err(DatasetError::io("read", path))?
+            .len();
+        let magic = mcap::MAGIC;
+        let start = read(0, magic.len().min(size as usize))?;
+        if start.is_empty() || !magic.starts_with(&start) {
+            return Err(DatasetError::NotASequence {
+                path: path.into(),
+                expected: "an MCAP file".into(),
+                found: match start.len() {
+                    0 => "an empty file".into(),
+                    _ => format!("a file that starts with {start:02x?}"),
+                },
+            });
+        }
+        let truncated = |reason: &str| DatasetError::Truncated {
+            path: path.into(),
+            reason: format!("{reason} ({size} bytes are there)"),
+        };
+        let tail_len = FOOTER + magic.len();
+        if size < (magic.len() + tail_len) as u64 {
+            return Err(truncated("the index at the end is missing"));
+        }
+        let footer_start = size - tail_len as u64;
+        let tail = read(footer_start, tail_len)?;
+        if tail[FOOTER..] != *magic {
+            return Err(truncated("the end mark and the index are missing"));
+        }
+        let Ok(Record::Footer(footer)) = mcap::parse_record(op::FOOTER, &tail[RECORD_HEAD..FOOTER])
+        else {
+            return Err(truncated("the footer is missing"));
+        };
+        if footer.summary_start == 0 || footer.summary_start > footer_start {
+            let found = format!("an offset of {}", footer.summary_start);
+            return Err(corrupt(
+                path,
+                "the footer",
+                "an index inside the file",
+                found,
+            ));
+        }
+        let length = (footer_start - footer.summary_start) as usize;
+        let summary = read(footer.summary_start, length)?;
+        let mut crc = crc32fast::Hasher::new();
+        crc.update(&summary);
+        crc.update(&tail[..FOOTER - 4]);
+        check_crc(path, "the index", footer.summary_crc, crc.finalize())?;
+
+        let mut index = Self {
+            channels: Vec::new(),
+            schemas: Vec::new(),
+            chunks: Vec::new(),
+        };
+        let mut rest = summary.as_slice();
+        while !rest.is_empty() {
+            match next_record(&mut rest) {
+                Some(Record::Channel(channel)) => index.channels.push(channel),
+                Some(Record::Schema { header, .. }) => index.schemas.push(header),
+                Some(Record::ChunkIndex(chunk)) => index.chunks.push(chunk),
+                Some(_) => {}
+                None => return Err(corrupt(path, "the index", "MCAP records", "other bytes")),
+            }
+        }
+        index.chunks.sort_by_key(|chunk| chunk.chunk_start_offset);
+        Ok(index)
+    }
+
+    /// Id of the channel of `topic`, which must carry `schema` as protobuf.
+    pub(super) fn channel(&self, path: &Path, topic: &str, schema: &str) -> Result<u16> {
+        let error = |expected: String, found: String| DatasetError::NotASequence {
+            path: path.into(),
+            expected,
+            found,
+        };
+        let Some(channel) = self.channels.iter().find(|channel| channel.topic == topic) else {
+            let topics: Vec<_> = self.channels.iter().map(|c| c.topic.as_str()).collect();
+            return Err(error(
+                format!("topic {topic}"),
+                format!("topics {topics:?}"),
+            ));
+        };
+        let found = self
+            .schemas
+            .iter()
+            .find(|header| header.id == channel.schema_id)
+            .map_or("no schema", |header| header.name.as_str());
+        if found != schema || channel.message_encoding != PROTOBUF {
+            return Err(error(
+                format!("{schema} in {PROTOBUF} on {topic}"),
+                format!("{found} in {}", channel.message_encoding),
+            ));
+        }
+        Ok(channel.id)
+    }
+}
+
+/// Reads the one message of a chunk and compares the chunk's CRC.
+pub(super) fn read_message(
+    path: &Path,
+    file: &File,
+    chunk: &ChunkIndex,
+    channel: u16,
+    place: &str,
+) -> Result<(MessageHeader, Bytes)> {
+    let size = file
+        .metadata()
+        .map_err(DatasetError::io("read", path))?
+        .len();
+    let end = chunk.chunk_start_offset.checked_add(chunk.chunk_length);
+    if chunk.chunk_length < RECORD_HEAD as u64 || end.is_none_or(|end| end > size) {
+        let found = format!(
+            "{} bytes at {}",
+            chunk.chunk_length, chunk.chunk_start_offset
+        );
+        return Err(corrupt(path, place, "a chunk inside the file", found));
+    }
+    let bytes = read_at(file, chunk.chunk_start_offset, chunk.chunk_length as usize)
+        .map_err(DatasetError::io("read", path))?;
+    let bytes = Bytes::from(bytes);
+    let mut rest = &bytes[..];
+    let (Some(Record::Chunk { header, data }), true) = (next_record(&mut rest), rest.is_empty())
+    else {
+        return Err(corrupt(path, place, "one MCAP chunk", "other bytes"));
+    };
+    if !header.compression.is_empty() {
+        return Err(DatasetError::NotASequence {
+            path: path.into(),
+            expected: "uncompressed chunks".into(),
+            found: format!("compression {:?}", header.compression),
+        });
+    }
+    check_crc(path, place, header.uncompressed_crc, crc32fast::hash(&data))?;
+    let mut found = None;
+    let mut records: &[u8] = &data;
+    while !records.is_empty() {
+        match next_record(&mut records) {
+            Some(Record::Message { header, data }) if header.channel_id == channel => {
+                if found.replace((header, bytes.slice_ref(&data))).is_some() {
+                    return Err(corrupt(path, place, "one message a chunk", "several"));
+                }
+            }
+            Some(_) => {}
+            None => return Err(corrupt(path, place, "MCAP records", "other bytes")),
+        }
+    }
+    found.ok_or_else(|| corrupt(path, place, "a message", "none"))
+}
+
+/// Takes the first record off `bytes`; `None` when there is none.
+fn next_record<'a>(bytes: &mut &'a [u8]) -> Option<Record<'a>> {
+    let (&opcode, rest) = bytes.split_first()?;
+    let (length, rest) = rest.split_first_chunk::<8>()?;
+    let (body, rest) = rest.split_at_checked(usize::try_from(u64::from_le_bytes(*length)).ok()?)?;
+    *bytes = rest;
+    match opcode {
+        // The parser assumes that an attachment has at least its four CRC bytes.
+        op::ATTACHMENT => Some(Record::Unknown {
+            opcode,
+            data: body.into(),
+        }),
+        _ => mcap::parse_record(opcode, body).ok(),
+    }
+}
+
+fn check_crc(path: &Path, place: &str, stored: u32, computed: u32) -> Result<()> {
+    if stored == computed {
+        return Ok(());
+    }
+    Err(corrupt(
+        path,
+        place,
+        format!("CRC {stored:08x}"),
+        format!("{computed:08x}"),
+    ))
+}
+
+/// Damage in a part of the file.
+pub(super) fn corrupt(
+    path: &Path,
+    place: &str,
+    expected: impl Into<String>,
+    found: impl Into<String>,
+) -> DatasetError {
+    DatasetError::Corrupt {
+        path: path.into(),
+        place: place.into(),
+        expected: expected.into(),
+        found: found.into(),
+    }
+}
