@@ -1,4 +1,5 @@
 //! Tests across crates, and the comparison with reference numbers that the
 //! binary `oracle` prints.
 
+pub mod dense_attention;
 pub mod oracle;

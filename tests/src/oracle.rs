@@ -41,7 +41,9 @@ impl Tensors {
     /// # Errors
     /// If there is none of that name.
     pub fn get(&self, name: &str) -> Result<&Tensor> {
-        self.0.get(name).with_context(|| format!("the file has no tensor '{name}'"))
+        self.0
+            .get(name)
+            .with_context(|| format!("the file has no tensor '{name}'"))
     }
 
     /// A tensor's values as f64.
@@ -49,7 +51,11 @@ impl Tensors {
     /// # Errors
     /// If there is none of that name.
     pub fn values(&self, name: &str) -> Result<Vec<f64>> {
-        Ok(self.get(name)?.to_dtype(DType::F64)?.flatten_all()?.to_vec1()?)
+        Ok(self
+            .get(name)?
+            .to_dtype(DType::F64)?
+            .flatten_all()?
+            .to_vec1()?)
     }
 
     /// A tensor's values as integers.
@@ -57,12 +63,18 @@ impl Tensors {
     /// # Errors
     /// If there is none of that name.
     pub fn indices(&self, name: &str) -> Result<Vec<usize>> {
-        Ok(self.values(name)?.into_iter().map(|value| value as usize).collect())
+        Ok(self
+            .values(name)?
+            .into_iter()
+            .map(|value| value as usize)
+            .collect())
     }
 
     /// Names that start with a prefix, without it.
     pub fn names<'a>(&'a self, prefix: &'a str) -> impl Iterator<Item = &'a str> {
-        self.0.keys().filter_map(move |name| name.strip_prefix(prefix))
+        self.0
+            .keys()
+            .filter_map(move |name| name.strip_prefix(prefix))
     }
 
     /// Rows of a tensor `[…, W, rows]` that keeps features before rows.
@@ -70,9 +82,15 @@ impl Tensors {
         let tensor = self.get(name)?;
         let rows = tensor.dim(tensor.rank() - 1)?;
         let all: Vec<f32> = tensor.flatten_all()?.to_vec1()?;
-        ensure!(all.len() >= (step + 1) * W * rows, "{name} has {} values, too few", all.len());
+        ensure!(
+            all.len() >= (step + 1) * W * rows,
+            "{name} has {} values, too few",
+            all.len()
+        );
         let block = &all[step * W * rows..][..W * rows];
-        Ok((0..rows).map(|row| std::array::from_fn(|column| block[column * rows + row])).collect())
+        Ok((0..rows)
+            .map(|row| std::array::from_fn(|column| block[column * rows + row]))
+            .collect())
     }
 }
 
@@ -81,12 +99,22 @@ pub fn relative(found: &[f64], reference: &[f64]) -> f64 {
     if found.len() != reference.len() {
         return f64::INFINITY;
     }
-    let largest = reference.iter().fold(0f64, |top, value| top.max(value.abs()));
+    let largest = reference
+        .iter()
+        .fold(0f64, |top, value| top.max(value.abs()));
     let worst = found.iter().zip(reference).fold(0f64, |top, (a, b)| {
         let difference = (a - b).abs();
-        if difference.is_nan() { f64::INFINITY } else { top.max(difference) }
+        if difference.is_nan() {
+            f64::INFINITY
+        } else {
+            top.max(difference)
+        }
     });
-    if worst == 0.0 { 0.0 } else { worst / largest.max(f64::MIN_POSITIVE) }
+    if worst == 0.0 {
+        0.0
+    } else {
+        worst / largest.max(f64::MIN_POSITIVE)
+    }
 }
 
 /// A case's fixed part.
@@ -104,11 +132,14 @@ impl Case {
         let dense = |name: &str, columns: usize| -> Result<Vec<(u32, u32)>> {
             let values = inputs.values(name)?;
             let entries = values.iter().enumerate().filter(|(_, value)| **value > 0.0);
-            Ok(entries.map(|(at, _)| ((at / columns) as u32, (at % columns) as u32)).collect())
+            Ok(entries
+                .map(|(at, _)| ((at / columns) as u32, (at % columns) as u32))
+                .collect())
         };
         let membership = dense(&name("g2p_mask"), vertices)?;
         let attribute_pairs = dense(&name("attr_mask"), vertices)?;
-        let of_vertex = Csr::from_pairs(vertices, membership.iter().map(|&(p, v)| (v, p)).collect());
+        let of_vertex =
+            Csr::from_pairs(vertices, membership.iter().map(|&(p, v)| (v, p)).collect());
         let attributes: Vec<[f32; 5]> = inputs.columns(&name("attr"), 0)?;
         let patch_attributes = attribute_pairs
             .iter()
@@ -117,7 +148,9 @@ impl Case {
         let faces = |name: &str| -> Result<Vec<[u32; 3]>> {
             let all = inputs.indices(name)?;
             let count = all.len() / 3;
-            Ok((0..count).map(|face| std::array::from_fn(|corner| all[corner * count + face] as u32)).collect())
+            Ok((0..count)
+                .map(|face| std::array::from_fn(|corner| all[corner * count + face] as u32))
+                .collect())
         };
         let garment_offsets = inputs.indices(&name("indices"))?;
         let outfit = Outfit {
@@ -126,7 +159,9 @@ impl Case {
             faces: faces(&name("faces"))?,
             body_vertices: match inputs.indices(&name("h_indices"))?.as_slice() {
                 [first, .., last] => last - first,
-                other => anyhow::bail!("h_indices is {other:?}, expected the body's first row and its end"),
+                other => anyhow::bail!(
+                    "h_indices is {other:?}, expected the body's first row and its end"
+                ),
             },
             body_faces: faces(&name("h_faces"))?,
             patches: Patches {
@@ -138,13 +173,21 @@ impl Case {
             patch_attributes: Csr::from_pairs(patches, patch_attributes),
         };
         let table = inputs.values(&name("mean_std"))?;
-        let mut statistics = ColumnStatistics { mean: [0.0; 9], std: [1.0; 9] };
+        let mut statistics = ColumnStatistics {
+            mean: [0.0; 9],
+            std: [1.0; 9],
+        };
         for column in 0..6 {
             statistics.mean[column] = table[column] as f32;
             statistics.std[column] = table[6 + column] as f32;
         }
         let blocks = (0..)
-            .take_while(|block| parameters.names(&format!("backbone.encoder.layers.{block}.")).next().is_some())
+            .take_while(|block| {
+                parameters
+                    .names(&format!("backbone.encoder.layers.{block}."))
+                    .next()
+                    .is_some()
+            })
             .count();
         let config = ModelConfig {
             blocks,
@@ -152,14 +195,21 @@ impl Case {
             body_radius: inputs.values(&name("human_radius"))?[0] as f32,
             ..ModelConfig::released()
         };
-        Ok(Self { outfit: Arc::new(outfit), statistics, config })
+        Ok(Self {
+            outfit: Arc::new(outfit),
+            statistics,
+            config,
+        })
     }
 
     /// The step of sub-step `k` from tensors with the given prefix.
     fn step(&self, inputs: &Tensors, prefix: &str, k: usize) -> Result<Step> {
         let part = |name: &str, width: usize| -> Result<Vec<f32>> {
             let all = inputs.values(&format!("{prefix}{name}"))?;
-            Ok(all[k * width..(k + 1) * width].iter().map(|&value| value as f32).collect())
+            Ok(all[k * width..(k + 1) * width]
+                .iter()
+                .map(|&value| value as f32)
+                .collect())
         };
         let wind = part("invisable_force", 22)?;
         let rotations = part("invisable_rotation", 18)?;
@@ -168,7 +218,9 @@ impl Case {
             body: inputs.columns(&format!("{prefix}h_state"), k)?,
             wind: std::array::from_fn(|i| wind[i]),
             wind_rotations: std::array::from_fn(|f| {
-                std::array::from_fn(|row| std::array::from_fn(|column| rotations[9 * f + 3 * row + column]))
+                std::array::from_fn(|row| {
+                    std::array::from_fn(|column| rotations[9 * f + 3 * row + column])
+                })
             }),
             gravity: std::array::from_fn(|i| gravity[i]),
         })
@@ -181,20 +233,34 @@ fn all_f64(tensor: &Tensor) -> Result<Vec<f64>> {
 
 /// Columns `from..to` of a `[1, rows, width]` reference.
 fn part(values: &[f64], width: usize, from: usize, to: usize) -> Vec<f64> {
-    values.chunks_exact(width).flat_map(|row| row[from..to].to_vec()).collect()
+    values
+        .chunks_exact(width)
+        .flat_map(|row| row[from..to].to_vec())
+        .collect()
 }
 
 /// Worst relative difference of the five losses; `prefix` stands before `loss_l2` and so on.
-fn loss_difference(losses: &LossValues, orthogonality: f64, reference: &Tensors, prefix: &str) -> Result<f64> {
+fn loss_difference(
+    losses: &LossValues,
+    orthogonality: f64,
+    reference: &Tensors,
+    prefix: &str,
+) -> Result<f64> {
     let mut worst = 0f64;
     for (name, found) in [
         ("loss_l2", losses.position),
         ("loss_normal", losses.normal),
-        ("loss_collision", losses.body_collision + losses.layer_collision),
+        (
+            "loss_collision",
+            losses.body_collision + losses.layer_collision,
+        ),
         ("loss_l2_patch", losses.patch),
         ("loss_l2_orth", orthogonality),
     ] {
-        worst = worst.max(relative(&[found], &reference.values(&format!("{prefix}{name}"))?));
+        worst = worst.max(relative(
+            &[found],
+            &reference.values(&format!("{prefix}{name}"))?,
+        ));
     }
     Ok(worst)
 }
@@ -223,7 +289,15 @@ pub fn compare(dir: &Path, prefix: &str) -> Result<Value> {
         reference: vec![target],
     };
     let gradient = |sample: &Sample, state: &[StatePair]| -> Result<SampleGradient> {
-        Ok(sample_gradient(&net, &parameters, &case.statistics, &loss_config, sample, state, true)?)
+        Ok(sample_gradient(
+            &net,
+            &parameters,
+            &case.statistics,
+            &loss_config,
+            sample,
+            state,
+            true,
+        )?)
     };
     let result = gradient(&sample, &state)?;
     let forward = Tensors::read(dir, &format!("{prefix}_forward_f32_tiesafe"))?;
@@ -231,7 +305,8 @@ pub fn compare(dir: &Path, prefix: &str) -> Result<Value> {
     let prediction = relative(&all_f64(&result.prediction.acceleration)?, &reference);
     let mut blocks = Vec::new();
     for (index, block) in result.prediction.blocks.iter().enumerate() {
-        let reference = forward.values(&format!("hook.backbone.encoder.layers.{index}.call0.out0"))?;
+        let reference =
+            forward.values(&format!("hook.backbone.encoder.layers.{index}.call0.out0"))?;
         let found = all_f64(block)?;
         blocks.push(relative(&found, &reference[..found.len()]));
     }
@@ -242,19 +317,39 @@ pub fn compare(dir: &Path, prefix: &str) -> Result<Value> {
     let orth = regulariser.value + regulariser.constant;
     let losses = loss_difference(&result.losses, orth, &train, "loss.decode.")?;
     let mut gradients = 0f64;
-    let wide = |values: &[f32]| values.iter().map(|&value| f64::from(value)).collect::<Vec<_>>();
+    let wide = |values: &[f32]| {
+        values
+            .iter()
+            .map(|&value| f64::from(value))
+            .collect::<Vec<_>>()
+    };
     for name in train.names("grad_without_orth.") {
-        let found = result.gradients.get(name).with_context(|| format!("no gradient for {name}"))?;
-        gradients = gradients.max(relative(&wide(found), &train.values(&format!("grad_without_orth.{name}"))?));
+        let found = result
+            .gradients
+            .get(name)
+            .with_context(|| format!("no gradient for {name}"))?;
+        gradients = gradients.max(relative(
+            &wide(found),
+            &train.values(&format!("grad_without_orth.{name}"))?,
+        ));
     }
     let mut total: Gradients = result.gradients.clone();
     for (name, gradient) in &regulariser.gradients {
-        let sum = total.get_mut(name).with_context(|| format!("no gradient for {name}"))?;
-        sum.iter_mut().zip(gradient).for_each(|(sum, value)| *sum += *value as f32);
+        let sum = total
+            .get_mut(name)
+            .with_context(|| format!("no gradient for {name}"))?;
+        sum.iter_mut()
+            .zip(gradient)
+            .for_each(|(sum, value)| *sum += *value as f32);
     }
     for name in train.names("grad.") {
-        let found = total.get(name).with_context(|| format!("no gradient for {name}"))?;
-        gradients = gradients.max(relative(&wide(found), &train.values(&format!("grad.{name}"))?));
+        let found = total
+            .get(name)
+            .with_context(|| format!("no gradient for {name}"))?;
+        gradients = gradients.max(relative(
+            &wide(found),
+            &train.values(&format!("grad.{name}"))?,
+        ));
     }
     let updated = fresh()?;
     Adam::default().update(&updated, &total, 1e-3)?;
@@ -275,7 +370,12 @@ pub fn compare(dir: &Path, prefix: &str) -> Result<Value> {
             break;
         }
         let step = rollout_case.step(&rollout_file, &format!("step{k}.in."), 0)?;
-        let prediction = frozen.forward(&rollout_case.outfit, &rollout_case.statistics, &current, &step)?;
+        let prediction = frozen.forward(
+            &rollout_case.outfit,
+            &rollout_case.statistics,
+            &current,
+            &step,
+        )?;
         let reference = part(&rollout_file.values(&format!("step{k}.pred"))?, 9, 6, 9);
         rollout.push(relative(&all_f64(&prediction.acceleration)?, &reference));
         let next = advance(&current, &prediction.acceleration.flatten_all()?.to_vec1()?);
@@ -311,12 +411,26 @@ fn multistep(
     let net = LayersNet::trainable(&case.config, parameters)?;
     let frozen = LayersNet::frozen(&case.config, parameters)?;
     let count = file.get("state")?.dim(1)?;
-    let states: Vec<Vec<StatePair>> = (0..count).map(|k| file.columns("state", k)).collect::<Result<_>>()?;
-    let newer = |state: &Vec<StatePair>| state.iter().map(|row| std::array::from_fn(|i| row[i])).collect::<Vec<State>>();
+    let states: Vec<Vec<StatePair>> = (0..count)
+        .map(|k| file.columns("state", k))
+        .collect::<Result<_>>()?;
+    let newer = |state: &Vec<StatePair>| {
+        state
+            .iter()
+            .map(|row| std::array::from_fn(|i| row[i]))
+            .collect::<Vec<State>>()
+    };
     let mut reference: Vec<Vec<State>> = states[1..].iter().map(newer).collect();
     reference.push(file.columns("gt_vertices", 0)?);
-    let steps = (0..count).map(|k| case.step(&file, "", k)).collect::<Result<_>>()?;
-    let sample = Sample { outfit: case.outfit.clone(), state: states[0].clone(), steps, reference };
+    let steps = (0..count)
+        .map(|k| case.step(&file, "", k))
+        .collect::<Result<_>>()?;
+    let sample = Sample {
+        outfit: case.outfit.clone(),
+        state: states[0].clone(),
+        steps,
+        reference,
+    };
     let mut worst = 0f64;
     for switch in 0.. {
         let base = format!("tiesafe.sel{switch}.");
@@ -326,26 +440,58 @@ fn multistep(
         }
         let state = roll_in(&frozen, &case.statistics, &sample, switch)?;
         let expected: Vec<StatePair> = file.columns(&format!("{base}final_state_in"), 0)?;
-        let flat = |rows: &[StatePair]| rows.as_flattened().iter().map(|&value| f64::from(value)).collect::<Vec<_>>();
+        let flat = |rows: &[StatePair]| {
+            rows.as_flattened()
+                .iter()
+                .map(|&value| f64::from(value))
+                .collect::<Vec<_>>()
+        };
         worst = worst.max(relative(&flat(&state), &flat(&expected)));
-        let result = sample_gradient(&net, parameters, &case.statistics, loss_config, &sample, &state, true)?;
-        worst = worst.max(loss_difference(&result.losses, orth, &file, &format!("{base}decode."))?);
+        let result = sample_gradient(
+            &net,
+            parameters,
+            &case.statistics,
+            loss_config,
+            &sample,
+            &state,
+            true,
+        )?;
+        worst = worst.max(loss_difference(
+            &result.losses,
+            orth,
+            &file,
+            &format!("{base}decode."),
+        )?);
         let name = "decode_head.proj.layers.2.weight";
-        let found: Vec<f64> = result.gradients[name].iter().map(|&value| f64::from(value)).collect();
-        worst = worst.max(relative(&found, &file.values(&format!("{base}grad.{name}"))?));
+        let found: Vec<f64> = result.gradients[name]
+            .iter()
+            .map(|&value| f64::from(value))
+            .collect();
+        worst = worst.max(relative(
+            &found,
+            &file.values(&format!("{base}grad.{name}"))?,
+        ));
         // The vertex branch alone: state and acceleration relative to the own patch.
         let graph = &result.prediction.graph;
         let own_states: Vec<StatePair> = state
             .iter()
             .zip(&graph.own_patch)
-            .map(|(row, &own)| std::array::from_fn(|i| row[i] - graph.patch_states[own as usize][i]))
+            .map(|(row, &own)| {
+                std::array::from_fn(|i| row[i] - graph.patch_states[own as usize][i])
+            })
             .collect();
         let acceleration: Vec<f32> = result.prediction.relative.flatten_all()?.to_vec1()?;
         let next = advance(&own_states, &acceleration);
         let found: Vec<f64> = next
             .iter()
             .zip(acceleration.chunks_exact(3))
-            .flat_map(|(state, a)| state.iter().chain(a).map(|&value| f64::from(value)).collect::<Vec<_>>())
+            .flat_map(|(state, a)| {
+                state
+                    .iter()
+                    .chain(a)
+                    .map(|&value| f64::from(value))
+                    .collect::<Vec<_>>()
+            })
             .collect();
         worst = worst.max(relative(&found, &file.values(&format!("{base}pred"))?));
     }

@@ -17,10 +17,10 @@ use crate::error::Result;
 use crate::kernels::attention::{Edges, GROUPS, attend};
 use crate::kernels::linear::{Activation, linear, product};
 use crate::layersnet::{Affine, Norm, Source};
-use crate::parameters::group_rotation_name;
+use crate::parameters::{Parameters, group_rotation_name};
 
 /// What flows through the blocks.
-pub(crate) struct Tokens {
+pub struct Tokens {
     /// States `[P + A + G, 128]`.
     pub state: Tensor,
     /// Receivers' memory `[P, 128]`.
@@ -34,7 +34,7 @@ pub(crate) struct Tokens {
 }
 
 /// A block's weights.
-pub(crate) struct Block {
+pub struct Block {
     /// Receiver and query weights of the patches, stacked `[256, 128]`.
     receiver_query: Tensor,
     sender: Tensor,
@@ -54,6 +54,14 @@ pub(crate) struct Block {
 }
 
 impl Block {
+    /// Block `index` of the parameters, with weights that receive gradients.
+    ///
+    /// # Errors
+    /// If a weight is missing.
+    pub fn trainable(config: &ModelConfig, parameters: &Parameters, index: usize) -> Result<Self> {
+        Self::new(config, &Source { parameters, trainable: true }, index)
+    }
+
     pub(crate) fn new(config: &ModelConfig, source: &Source, index: usize) -> Result<Self> {
         let base = format!("backbone.encoder.layers.{index}");
         let attention = |name: &str| format!("{base}.self_attn.attn.{name}");
@@ -95,8 +103,29 @@ impl Block {
     }
 
     /// Runs the block; the last one returns patch rows and leaves the memories as they were.
-    pub(crate) fn apply(&self, tokens: &Tokens, edges: &Arc<Edges>, last: bool) -> Result<Tokens> {
-        let &Tokens { patches, particles, .. } = tokens;
+    ///
+    /// # Errors
+    /// If tokens do not fit the edges.
+    pub fn apply(&self, tokens: &Tokens, edges: &Arc<Edges>, last: bool) -> Result<Tokens> {
+        let attended = self.attention(tokens, edges, last)?;
+        let rows = attended.state.dim(0)?;
+        let first = self.norms[0].apply(&(tokens.state.narrow(0, 0, rows)? + attended.state)?)?;
+        let hidden = self.feed_forward[0].apply(&first, Activation::Relu)?;
+        let state = self.norms[1].apply(&(&first + self.feed_forward[1].apply(&hidden, Activation::Relu)?)?)?;
+        let (receiver, sender) = if last {
+            (attended.receiver, attended.sender)
+        } else {
+            (self.receiver_norm.apply(&attended.receiver)?, self.sender_norm.apply(&attended.sender)?)
+        };
+        Ok(Tokens { state, receiver, sender, ..*tokens })
+    }
+
+    /// The attention alone, before residuals and norms: Z', `r_proj(r)`, `s_proj(s)`.
+    ///
+    /// # Errors
+    /// As [`Block::apply`].
+    pub fn attention(&self, tokens: &Tokens, edges: &Arc<Edges>, last: bool) -> Result<Tokens> {
+        let &Tokens { patches, .. } = tokens;
         let rows = tokens.state.dim(0)?;
         let patch_states = tokens.state.narrow(0, 0, patches)?;
         let receiver_query = product(&patch_states, &self.receiver_query)?;
@@ -106,24 +135,16 @@ impl Block {
         let s = ((product(&tokens.state, &self.sender)? + memories.narrow(0, patches, rows)?)? + &tokens.sender)?;
         let attended = attend(&Tensor::cat(&[&r, &q.contiguous()?, &s], 0)?, &self.groups, edges.clone(), self.own_slots)?;
         let output = linear(&attended, &self.output_weight, &self.output_bias, Activation::None)?;
-
-        let summed = if last {
-            (patch_states + output)?
-        } else {
-            let others = tokens.state.narrow(0, patches, rows - patches)?;
-            (&tokens.state + Tensor::cat(&[&output, &others], 0)?)?
-        };
-        let first = self.norms[0].apply(&summed)?;
-        let hidden = self.feed_forward[0].apply(&first, Activation::Relu)?;
-        let state = self.norms[1].apply(&(&first + self.feed_forward[1].apply(&hidden, Activation::Relu)?)?)?;
-        let (receiver, sender) = if last {
-            (tokens.receiver.clone(), tokens.sender.clone())
-        } else {
-            (
-                self.receiver_norm.apply(&self.receiver_out.apply(&r, Activation::None)?)?,
-                self.sender_norm.apply(&self.sender_out.apply(&s, Activation::None)?)?,
-            )
-        };
-        Ok(Tokens { state, receiver, sender, patches, particles })
+        if last {
+            let (receiver, sender) = (tokens.receiver.clone(), tokens.sender.clone());
+            return Ok(Tokens { state: output, receiver, sender, ..*tokens });
+        }
+        let others = tokens.state.narrow(0, patches, rows - patches)?;
+        Ok(Tokens {
+            state: Tensor::cat(&[&output, &others], 0)?,
+            receiver: self.receiver_out.apply(&r, Activation::None)?,
+            sender: self.sender_out.apply(&s, Activation::None)?,
+            ..*tokens
+        })
     }
 }

@@ -60,8 +60,8 @@ impl Encoder {
 
 /// Where weights come from: trainable, or detached for prediction.
 pub(crate) struct Source<'a> {
-    parameters: &'a Parameters,
-    trainable: bool,
+    pub(crate) parameters: &'a Parameters,
+    pub(crate) trainable: bool,
 }
 
 impl Source<'_> {

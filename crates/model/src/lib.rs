@@ -5,7 +5,7 @@
 //! accelerations out. [`FrameGraph`] is the discrete structure of a frame.
 //! Losses and training live in `drape-train`; nothing here reads sequence files.
 
-mod block;
+pub mod block;
 mod config;
 mod error;
 pub mod frames;
