@@ -1,10 +1,6 @@
 //! The whole job: data, training, table.
 
-use std::{
-    ffi::{OsStr, OsString},
-    path::Path,
-    process::ExitCode,
-};
+use std::{ffi::OsString, fs, process::ExitCode};
 
 use anyhow::Result;
 
@@ -20,7 +16,12 @@ pub fn run(args: &[OsString]) -> Result<ExitCode> {
         return start(Program::Train, args).map(exit_code);
     }
     build(&[Program::Generate, Program::Train, Program::Eval])?;
-    if !names_data(args) && !Path::new(DEFAULT_DATA).is_dir() {
+    if uses_default_data(args)
+        && !workspace()
+            .join(DEFAULT_DATA)
+            .join("dataset.json")
+            .is_file()
+    {
         println!("{DEFAULT_DATA} is not there: making it (once; later trainings use it again)");
         let status = start(Program::Generate, &["--out".into(), DEFAULT_DATA.into()])?;
         if !status.success() {
@@ -34,21 +35,51 @@ pub fn run(args: &[OsString]) -> Result<ExitCode> {
     start(Program::Eval, &[]).map(exit_code)
 }
 
-/// Whether the arguments name a data set themselves.
-fn names_data(args: &[OsString]) -> bool {
-    args.iter()
-        .any(|arg| arg == OsStr::new("--data") || arg.to_string_lossy().starts_with("--data="))
+/// Whether nothing in the arguments points to another data set: neither `--data`,
+/// nor a configuration with a `data` key, nor a run to resume.
+fn uses_default_data(args: &[OsString]) -> bool {
+    let given = |name: &str| {
+        args.iter().enumerate().find_map(|(index, arg)| {
+            let rest = arg.to_str()?.strip_prefix(name)?;
+            match rest.strip_prefix('=') {
+                Some(value) => Some(value.to_owned()),
+                None if rest.is_empty() => {
+                    Some(args.get(index + 1)?.to_string_lossy().into_owned())
+                }
+                None => None,
+            }
+        })
+    };
+    let in_config = |path: String| {
+        fs::read_to_string(path).is_ok_and(|text| {
+            text.lines()
+                .any(|line| line.starts_with("data ") || line.starts_with("data="))
+        })
+    };
+    !args.iter().any(|arg| arg == "--resume")
+        && given("--data").is_none()
+        && !given("--config").is_some_and(in_config)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn args(list: &[&str]) -> Vec<OsString> {
+        list.iter().map(OsString::from).collect()
+    }
+
     #[test]
-    fn both_spellings_of_the_data_option_are_seen() {
-        let args = |list: &[&str]| list.iter().map(OsString::from).collect::<Vec<_>>();
-        assert!(names_data(&args(&["--epochs", "2", "--data", "x"])));
-        assert!(names_data(&args(&["--data=x"])));
-        assert!(!names_data(&args(&["--database", "x"])));
+    fn the_default_data_is_made_only_when_nothing_else_is_named() {
+        assert!(uses_default_data(&args(&[])));
+        assert!(uses_default_data(&args(&[
+            "--epochs",
+            "2",
+            "--database",
+            "x"
+        ])));
+        assert!(!uses_default_data(&args(&["--epochs", "2", "--data", "x"])));
+        assert!(!uses_default_data(&args(&["--data=x"])));
+        assert!(!uses_default_data(&args(&["--resume"])));
     }
 }
