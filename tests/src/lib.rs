@@ -2,4 +2,7 @@
 //! binary `oracle` prints.
 
 pub mod dense_attention;
+pub mod example;
 pub mod oracle;
+pub mod programs;
+pub mod scene;

@@ -36,5 +36,8 @@ fn numbers_equal_the_published_programs() {
 #[test]
 fn a_missing_file_is_named() {
     let error = drape_tests::oracle::compare(Path::new("nowhere"), "tiny").unwrap_err();
-    assert!(format!("{error:#}").contains("nowhere/weights.safetensors"), "{error:#}");
+    assert!(
+        format!("{error:#}").contains("nowhere/weights.safetensors"),
+        "{error:#}"
+    );
 }

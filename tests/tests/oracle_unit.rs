@@ -39,11 +39,20 @@ fn read(name: &str) -> Tensors {
 }
 
 fn flat(tensor: &Tensor) -> Vec<f64> {
-    tensor.to_dtype(DType::F64).unwrap().flatten_all().unwrap().to_vec1().unwrap()
+    tensor
+        .to_dtype(DType::F64)
+        .unwrap()
+        .flatten_all()
+        .unwrap()
+        .to_vec1()
+        .unwrap()
 }
 
 fn triples<const N: usize>(values: &[f64]) -> Vec<[f32; N]> {
-    values.chunks_exact(N).map(|row| std::array::from_fn(|i| row[i] as f32)).collect()
+    values
+        .chunks_exact(N)
+        .map(|row| std::array::from_fn(|i| row[i] as f32))
+        .collect()
 }
 
 fn close(what: &str, found: &[f64], reference: &[f64], bar: f64) {
@@ -62,13 +71,21 @@ struct Unit {
 impl Unit {
     /// Runs the first block, or its attention only, on a file's inputs and weights.
     fn run(inputs: &Tensors, dtype: DType, whole_block: bool) -> Self {
-        let config = ModelConfig { blocks: 1, ..ModelConfig::released() };
+        let config = ModelConfig {
+            blocks: 1,
+            ..ModelConfig::released()
+        };
         let fresh = Parameters::new(&config, 0).unwrap();
-        let mut tensors: BTreeMap<String, Tensor> =
-            fresh.iter().map(|(name, variable)| (name.to_string(), variable.as_tensor().clone())).collect();
+        let mut tensors: BTreeMap<String, Tensor> = fresh
+            .iter()
+            .map(|(name, variable)| (name.to_string(), variable.as_tensor().clone()))
+            .collect();
         let weights = read("unit_encoder_layer_f32");
         for name in weights.names("w.") {
-            let old = tensors.insert(format!("{BLOCK}{name}"), weights.get(&format!("w.{name}")).unwrap().clone());
+            let old = tensors.insert(
+                format!("{BLOCK}{name}"),
+                weights.get(&format!("w.{name}")).unwrap().clone(),
+            );
             assert!(old.is_some(), "{name} is no weight of a block");
         }
         let parameters = Parameters::from_tensors(tensors, &config, dtype).unwrap();
@@ -76,12 +93,28 @@ impl Unit {
 
         let tensor = |name: &str, rows: usize| {
             // The f64 case's inputs pass through f32 for the f32 case.
-            inputs.get(name).unwrap().reshape((rows, 128)).unwrap().to_dtype(dtype).unwrap()
+            inputs
+                .get(name)
+                .unwrap()
+                .reshape((rows, 128))
+                .unwrap()
+                .to_dtype(dtype)
+                .unwrap()
         };
-        let variables: BTreeMap<&'static str, Var> =
-            [("x_state", T), ("x_receiver", P), ("x_sender", T), ("h_state", P * K), ("h_sender", P * K)]
-                .map(|(name, rows)| (name, Var::from_tensor(&tensor(&format!("in.{name}"), rows)).unwrap()))
-                .into();
+        let variables: BTreeMap<&'static str, Var> = [
+            ("x_state", T),
+            ("x_receiver", P),
+            ("x_sender", T),
+            ("h_state", P * K),
+            ("h_sender", P * K),
+        ]
+        .map(|(name, rows)| {
+            (
+                name,
+                Var::from_tensor(&tensor(&format!("in.{name}"), rows)).unwrap(),
+            )
+        })
+        .into();
         let part = |name: &str| variables[name].as_tensor();
         let tokens = Tokens {
             state: Tensor::cat(&[part("x_state"), part("h_state")], 0).unwrap(),
@@ -91,9 +124,17 @@ impl Unit {
             particles: T,
         };
         let edges = Arc::new(edges(inputs));
-        let result =
-            if whole_block { block.apply(&tokens, &edges, false) } else { block.attention(&tokens, &edges, false) };
-        let Tokens { state, receiver, sender, .. } = result.unwrap();
+        let result = if whole_block {
+            block.apply(&tokens, &edges, false)
+        } else {
+            block.attention(&tokens, &edges, false)
+        };
+        let Tokens {
+            state,
+            receiver,
+            sender,
+            ..
+        } = result.unwrap();
         let rows = |tensor: &Tensor, start, count| tensor.narrow(0, start, count).unwrap();
         let outputs: BTreeMap<&'static str, Tensor> = [
             ("x", rows(&state, 0, T)),
@@ -105,10 +146,20 @@ impl Unit {
         .into();
         let loss = outputs
             .iter()
-            .map(|(name, out)| (out * tensor(&format!("cot.{name}"), out.dim(0).unwrap())).unwrap().sum_all().unwrap())
+            .map(|(name, out)| {
+                (out * tensor(&format!("cot.{name}"), out.dim(0).unwrap()))
+                    .unwrap()
+                    .sum_all()
+                    .unwrap()
+            })
             .reduce(|a, b| (a + b).unwrap())
             .unwrap();
-        Self { outputs, inputs: variables, parameters, gradients: loss.backward().unwrap() }
+        Self {
+            outputs,
+            inputs: variables,
+            parameters,
+            gradients: loss.backward().unwrap(),
+        }
     }
 
     /// Compares every output and gradient that a file holds; returns how many there were.
@@ -122,11 +173,20 @@ impl Unit {
             check(format!("out.{name}"), &self.outputs[name]);
         }
         for name in reference.names("grad.") {
-            check(format!("grad.{name}"), self.gradients.get(&self.inputs[name]).unwrap());
+            check(
+                format!("grad.{name}"),
+                self.gradients.get(&self.inputs[name]).unwrap(),
+            );
         }
         for name in reference.names("gradw.") {
-            let variable = self.parameters.get(&format!("{BLOCK}{weight_prefix}{name}")).unwrap();
-            check(format!("gradw.{name}"), self.gradients.get(variable).unwrap());
+            let variable = self
+                .parameters
+                .get(&format!("{BLOCK}{weight_prefix}{name}"))
+                .unwrap();
+            check(
+                format!("gradw.{name}"),
+                self.gradients.get(variable).unwrap(),
+            );
         }
         count
     }
@@ -143,14 +203,19 @@ fn edges(inputs: &Tensors) -> Edges {
     };
     let mask = inputs.values("in.rs_mask").unwrap();
     let (world, mesh) = mask.split_at(P * T);
-    let body = lists(&inputs.values("in.h_rs_mask").unwrap(), K, |row, slot| K * row + slot);
+    let body = lists(&inputs.values("in.h_rs_mask").unwrap(), K, |row, slot| {
+        K * row + slot
+    });
     let rotations = triples::<9>(&inputs.values("in.h_rotation").unwrap());
     Edges {
         mesh: lists(mesh, T, |_, column| column),
         world: lists(world, T, |_, column| column),
         body_log_count: vec![0.0; body.items.len()],
         body,
-        rotations: rotations.iter().map(|r| [0, 1, 2].map(|row| [0, 1, 2].map(|column| r[3 * row + column]))).collect(),
+        rotations: rotations
+            .iter()
+            .map(|r| [0, 1, 2].map(|row| [0, 1, 2].map(|column| r[3 * row + column])))
+            .collect(),
         senders: T,
     }
 }
@@ -162,12 +227,22 @@ fn attention_in_f64() {
     assert!(unit.compare(&file, "self_attn.attn.", 1e-6) > 20);
     // What no f32 rotation touches is exact: both memories, and receivers without body slots.
     for name in ["receiver", "sender"] {
-        close(name, &flat(&unit.outputs[name]), &file.values(&format!("out.{name}")).unwrap(), 1e-12);
+        close(
+            name,
+            &flat(&unit.outputs[name]),
+            &file.values(&format!("out.{name}")).unwrap(),
+            1e-12,
+        );
     }
     let (found, reference) = (flat(&unit.outputs["x"]), file.values("out.x").unwrap());
     for row in [4, 5, 7, 24, 25] {
         let range = row * 128..(row + 1) * 128;
-        close(&format!("out.x row {row}"), &found[range.clone()], &reference[range], 1e-12);
+        close(
+            &format!("out.x row {row}"),
+            &found[range.clone()],
+            &reference[range],
+            1e-12,
+        );
     }
 }
 
@@ -175,7 +250,10 @@ fn attention_in_f64() {
 fn attention_in_f32() {
     let wide = read("unit_attention_f64");
     let unit = Unit::run(&wide, DType::F32, false);
-    assert_eq!(unit.compare(&read("unit_attention_f32"), "self_attn.attn.", 1e-5), 5);
+    assert_eq!(
+        unit.compare(&read("unit_attention_f32"), "self_attn.attn.", 1e-5),
+        5
+    );
     unit.compare(&wide, "self_attn.attn.", 1e-5);
 }
 
@@ -189,9 +267,18 @@ fn whole_block_in_f32() {
 #[test]
 fn weights_of_the_attention_alone() {
     let wide = read("unit_attn_core_f64");
-    for (dtype, file, bar) in [(DType::F64, &wide, 1e-12), (DType::F32, &read("unit_attn_core_f32"), 1e-5)] {
+    for (dtype, file, bar) in [
+        (DType::F64, &wide, 1e-12),
+        (DType::F32, &read("unit_attn_core_f32"), 1e-5),
+    ] {
         let input = |name: &str| {
-            let tensor = wide.get(name).unwrap().squeeze(0).unwrap().to_dtype(dtype).unwrap();
+            let tensor = wide
+                .get(name)
+                .unwrap()
+                .squeeze(0)
+                .unwrap()
+                .to_dtype(dtype)
+                .unwrap();
             Var::from_tensor(&tensor).unwrap()
         };
         let [r, q, s, body] = ["receiver", "query", "sender", "body"].map(input);
@@ -200,17 +287,37 @@ fn weights_of_the_attention_alone() {
         let world_body = body.narrow(1, 0, 1).unwrap().squeeze(1).unwrap();
         let bias = body_mask.zeros_like().unwrap();
         let weights = dense_weights([&r, &q, &s], &world_body, &mask, &body_mask, &bias).unwrap();
-        close("out_self", &flat(&weights.senders), &file.values("out_self").unwrap(), bar);
-        close("out_body", &flat(&weights.body), &file.values("out_body").unwrap(), bar);
+        close(
+            "out_self",
+            &flat(&weights.senders),
+            &file.values("out_self").unwrap(),
+            bar,
+        );
+        close(
+            "out_body",
+            &flat(&weights.body),
+            &file.values("out_body").unwrap(),
+            bar,
+        );
         let with = |out: &Tensor, cotangent: &str| {
             let cotangent = input(cotangent).reshape(out.shape()).unwrap();
             (out * cotangent).unwrap().sum_all().unwrap()
         };
         let loss = (with(&weights.senders, "cot_self") + with(&weights.body, "cot_body")).unwrap();
         let gradients = loss.backward().unwrap();
-        for (name, variable) in [("receiver", &r), ("query", &q), ("sender", &s), ("body", &body)] {
+        for (name, variable) in [
+            ("receiver", &r),
+            ("query", &q),
+            ("sender", &s),
+            ("body", &body),
+        ] {
             if let Ok(reference) = file.values(&format!("grad_{name}")) {
-                close(&format!("grad_{name}"), &flat(gradients.get(variable).unwrap()), &reference, bar);
+                close(
+                    &format!("grad_{name}"),
+                    &flat(gradients.get(variable).unwrap()),
+                    &reference,
+                    bar,
+                );
             }
         }
     }
@@ -221,10 +328,18 @@ fn losses_and_their_gradients() {
     for name in ["unit_losses_f32", "unit_losses_f64"] {
         let file = read(name);
         let vectors = |name: &str| -> Vec<[f64; 3]> {
-            file.values(name).unwrap().chunks_exact(3).map(|v| [v[0], v[1], v[2]]).collect()
+            file.values(name)
+                .unwrap()
+                .chunks_exact(3)
+                .map(|v| [v[0], v[1], v[2]])
+                .collect()
         };
         let faces = |name: &str| -> Vec<[u32; 3]> {
-            file.indices(name).unwrap().chunks_exact(3).map(|v| [0, 1, 2].map(|i| v[i] as u32)).collect()
+            file.indices(name)
+                .unwrap()
+                .chunks_exact(3)
+                .map(|v| [0, 1, 2].map(|i| v[i] as u32))
+                .collect()
         };
         let (predicted, truth, garment_faces) = (vectors("pred"), vectors("gt"), faces("faces"));
         let body: Vec<[f32; 12]> = vectors("body_v")
@@ -245,7 +360,12 @@ fn losses_and_their_gradients() {
         let config = LossConfig::released().collision;
         let on_body = body_collision(&config, &predicted, &body, &outfit.body_faces);
         let between = layer_collision(&config, &outfit, &predicted, &normals);
-        close("layer loss", &[between.value], &file.values("mid.layer_loss").unwrap(), 1e-5);
+        close(
+            "layer loss",
+            &[between.value],
+            &file.values("mid.layer_loss").unwrap(),
+            1e-5,
+        );
         let weighted = |a: f64, b: f64| 1.3 * a + 0.1 * b;
         let total = Term {
             value: weighted(on_body.value, between.value),
@@ -255,14 +375,22 @@ fn losses_and_their_gradients() {
         };
         for (term, found) in [
             ("l2", squared_error(&predicted, &truth)),
-            ("normal", normal_loss(&normals, &MeshNormals::new(&truth, &garment_faces))),
+            (
+                "normal",
+                normal_loss(&normals, &MeshNormals::new(&truth, &garment_faces)),
+            ),
             ("collision_body", on_body),
             ("collision_total_1p3_0p1", total),
         ] {
             let reference = file.values(&format!("loss.{term}")).unwrap();
             close(term, &[found.value], &reference, 1e-5);
             let reference = file.values(&format!("gradpred.{term}")).unwrap();
-            close(&format!("gradient of {term}"), found.gradient.as_flattened(), &reference, 1e-5);
+            close(
+                &format!("gradient of {term}"),
+                found.gradient.as_flattened(),
+                &reference,
+                1e-5,
+            );
         }
     }
 }
@@ -275,20 +403,48 @@ fn geometry() {
         let rows = vectors(name);
         rows.chunks_exact(3).map(|r| [r[0], r[1], r[2]]).collect()
     };
-    let wide = |all: &[[f32; 3]]| all.as_flattened().iter().map(|&x| f64::from(x)).collect::<Vec<_>>();
+    let wide = |all: &[[f32; 3]]| {
+        all.as_flattened()
+            .iter()
+            .map(|&x| f64::from(x))
+            .collect::<Vec<_>>()
+    };
 
     // Frames from unit, degenerate, zero and non-unit vectors, by the fixed axis.
-    for (from, to) in [("normals", "rotations_rows_t_b_n"), ("nonunit_vectors", "nonunit_rotations")] {
-        let found: Vec<[f32; 3]> = vectors(from).iter().flat_map(|&n| frame(n, FrameAxis::FixedX)).collect();
+    for (from, to) in [
+        ("normals", "rotations_rows_t_b_n"),
+        ("nonunit_vectors", "nonunit_rotations"),
+    ] {
+        let found: Vec<[f32; 3]> = vectors(from)
+            .iter()
+            .flat_map(|&n| frame(n, FrameAxis::FixedX))
+            .collect();
         close(from, &wide(&found), &file.values(to).unwrap(), 1e-6);
     }
     let quaternions = triples::<4>(&file.values("quat_wxyz").unwrap());
-    let found: Vec<[f32; 3]> = quaternions.iter().flat_map(|&q| rotation_matrix(q)).collect();
-    close("quaternions", &wide(&found), &file.values("quat_matrix").unwrap(), 1e-6);
-    let faces: Vec<[u32; 3]> =
-        file.indices("mesh_f").unwrap().chunks_exact(3).map(|v| [0, 1, 2].map(|i| v[i] as u32)).collect();
+    let found: Vec<[f32; 3]> = quaternions
+        .iter()
+        .flat_map(|&q| rotation_matrix(q))
+        .collect();
+    close(
+        "quaternions",
+        &wide(&found),
+        &file.values("quat_matrix").unwrap(),
+        1e-6,
+    );
+    let faces: Vec<[u32; 3]> = file
+        .indices("mesh_f")
+        .unwrap()
+        .chunks_exact(3)
+        .map(|v| [0, 1, 2].map(|i| v[i] as u32))
+        .collect();
     let found = face_normals(&vectors("mesh_v"), &faces);
-    close("face normals", &wide(&found), &file.values("mesh_face_normals").unwrap(), 1e-6);
+    close(
+        "face normals",
+        &wide(&found),
+        &file.values("mesh_face_normals").unwrap(),
+        1e-6,
+    );
 
     // Neighbours, equal index by index.
     let grid = Grid::build(&vectors("points"), 0.6);
@@ -314,12 +470,27 @@ fn geometry() {
     let mut found = Vec::new();
     for group in 0..4 {
         let w = file.get(&format!("rotffn_w{group}")).unwrap();
-        let down = product(&Tensor::eye(16, DType::F32, w.device()).unwrap(), &w.t().unwrap()).unwrap();
+        let down = product(
+            &Tensor::eye(16, DType::F32, w.device()).unwrap(),
+            &w.t().unwrap(),
+        )
+        .unwrap();
         for matrix in &rotations {
-            let maps = (0..16).map(|index| RowMap { index, matrix: *matrix, offset: [0.0; 3] }).collect();
+            let maps = (0..16)
+                .map(|index| RowMap {
+                    index,
+                    matrix: *matrix,
+                    offset: [0.0; 3],
+                })
+                .collect();
             let columns = product(&map_rows(&down, maps).unwrap(), w).unwrap();
             found.extend(flat(&columns.t().unwrap()));
         }
     }
-    close("lifted rotations", &found, &file.values("rotffn_out").unwrap(), 1e-6);
+    close(
+        "lifted rotations",
+        &found,
+        &file.values("rotffn_out").unwrap(),
+        1e-6,
+    );
 }

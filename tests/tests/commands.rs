@@ -1,0 +1,155 @@
+//! The programs one after the other on a small data set, as `cargo xtask`
+//! starts them: train, eval, rollout, inspect; and Ctrl-C in the middle.
+
+use std::{fs, path::Path, process::Output};
+
+use drape_dataset::{SequenceReader, splits::Split};
+use drape_tests::{
+    example::{FRAMES, write_dataset},
+    programs::{printed, run},
+};
+use serde_json::Value;
+
+const TRAIN: [&str; 8] = [
+    "--data",
+    "data",
+    "--run",
+    "runs/small",
+    "--epochs",
+    "2",
+    "--samples-per-epoch",
+    "8",
+];
+
+fn succeed(name: &str, folder: &Path, arguments: &[&str]) -> Output {
+    let output = run(name, folder, arguments);
+    assert!(
+        output.status.success(),
+        "{name} {arguments:?}:\n{}",
+        printed(&output)
+    );
+    output
+}
+
+fn with_data() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    fs::create_dir(folder.path().join("data")).unwrap();
+    write_dataset(
+        &folder.path().join("data"),
+        &[Split::Train, Split::Train, Split::Test],
+    )
+    .unwrap();
+    folder
+}
+
+#[test]
+fn a_run_is_trained_measured_rolled_out_and_inspected() {
+    let folder = with_data();
+    let folder = folder.path();
+    succeed("drape-train", folder, &TRAIN);
+
+    let output = succeed("drape-eval", folder, &["--steps", "8", "--no-engine"]);
+    for row in ["reference", "hold", "frozen", "skinned", "LayersNet small"] {
+        assert!(
+            printed(&output).contains(row),
+            "no row {row}:\n{}",
+            printed(&output)
+        );
+    }
+    let evaluation = folder.join("runs/small/eval");
+    for file in ["table.md", "table.csv", "plot.png", "sheet_sequence_2.png"] {
+        assert!(evaluation.join(file).is_file(), "no {file}");
+    }
+    let table: Value =
+        serde_json::from_str(&fs::read_to_string(evaluation.join("table.json")).unwrap()).unwrap();
+    for row in table["rows"].as_array().unwrap() {
+        assert_eq!(row["groups"]["overall"]["frames"], 8, "{row}");
+        assert!(
+            row["method"] == "reference" || row["ms_per_frame"].as_f64().unwrap() > 0.0,
+            "a row without a time: {row}"
+        );
+    }
+    assert_eq!(
+        table["rows"][0]["groups"]["overall"]["error_mm_10x"]["mean"],
+        0.0
+    );
+
+    succeed(
+        "drape-rollout",
+        folder,
+        &["data/sequence_2.mcap", "--out", "predicted.mcap"],
+    );
+    let predicted = SequenceReader::open(folder.join("predicted.mcap")).unwrap();
+    let source = SequenceReader::open(folder.join("data/sequence_2.mcap")).unwrap();
+    assert_eq!(predicted.frame_count(), FRAMES);
+    assert_eq!(predicted.header().scene.engine, "layersnet");
+    let (given, first) = (source.frame(2).unwrap(), predicted.frame(2).unwrap());
+    assert_eq!(given.garments, first.garments, "given frames are copied");
+    let (given, first) = (source.frame(3).unwrap(), predicted.frame(3).unwrap());
+    assert_eq!(given.body, first.body);
+    assert_ne!(given.garments, first.garments);
+    assert!(first.intersections.is_some(), "intersections are counted");
+
+    let output = run(
+        "drape-inspect",
+        folder,
+        &["predicted.mcap", "--no-pictures"],
+    );
+    assert!(
+        printed(&output).contains("layersnet") && printed(&output).contains("layer contact"),
+        "{}",
+        printed(&output)
+    );
+}
+
+/// A signal is sent as a terminal does it; other systems have no `kill`.
+#[cfg(unix)]
+#[test]
+fn ctrl_c_ends_training_with_130_and_a_checkpoint() {
+    use std::{
+        process::{Command, Stdio},
+        thread::sleep,
+        time::Duration,
+    };
+
+    let folder = with_data();
+    let folder = folder.path();
+    let mut arguments = TRAIN;
+    arguments[5] = "4";
+    arguments[7] = "400";
+    let mut child = drape_tests::programs::program("drape-train", folder)
+        .args(arguments)
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    // The record is written when training starts.
+    while !folder.join("runs/small/run.json").exists() {
+        assert!(
+            child.try_wait().unwrap().is_none(),
+            "training ended before it began"
+        );
+        sleep(Duration::from_millis(20));
+    }
+    let id = child.id().to_string();
+    assert!(
+        Command::new("kill")
+            .args(["-INT", &id])
+            .status()
+            .unwrap()
+            .success()
+    );
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert!(
+        folder
+            .join("runs/small/checkpoint/weights.safetensors")
+            .is_file()
+    );
+
+    let output = run("drape-eval", folder, &["--steps", "8", "--no-engine"]);
+    assert!(
+        printed(&output).contains("no finished run"),
+        "{}",
+        printed(&output)
+    );
+}
