@@ -59,7 +59,14 @@ impl Block {
     /// # Errors
     /// If a weight is missing.
     pub fn trainable(config: &ModelConfig, parameters: &Parameters, index: usize) -> Result<Self> {
-        Self::new(config, &Source { parameters, trainable: true }, index)
+        Self::new(
+            config,
+            &Source {
+                parameters,
+                trainable: true,
+            },
+            index,
+        )
     }
 
     pub(crate) fn new(config: &ModelConfig, source: &Source, index: usize) -> Result<Self> {
@@ -68,7 +75,11 @@ impl Block {
         let mut groups = Vec::new();
         for group in 0..GROUPS {
             let mlp = attention(&format!("rs_mlp.group_layers.{group}.layers.0"));
-            groups.push(source.tensor(&group_rotation_name(index, group))?.flatten_all()?);
+            groups.push(
+                source
+                    .tensor(&group_rotation_name(index, group))?
+                    .flatten_all()?,
+            );
             groups.push(source.tensor(&format!("{mlp}.weight"))?.flatten_all()?);
             groups.push(source.tensor(&format!("{mlp}.bias"))?);
         }
@@ -95,7 +106,10 @@ impl Block {
                 source.affine(&format!("{base}.ffn.layers.0.0"))?,
                 source.affine(&format!("{base}.ffn.layers.1"))?,
             ],
-            norms: [source.norm(&format!("{base}.norms.0"))?, source.norm(&format!("{base}.norms.1"))?],
+            norms: [
+                source.norm(&format!("{base}.norms.0"))?,
+                source.norm(&format!("{base}.norms.1"))?,
+            ],
             receiver_norm: source.norm(&format!("{base}.res_norms.0"))?,
             sender_norm: source.norm(&format!("{base}.res_norms.1"))?,
             own_slots: config.body_messages == BodyMessages::Own,
@@ -111,13 +125,22 @@ impl Block {
         let rows = attended.state.dim(0)?;
         let first = self.norms[0].apply(&(tokens.state.narrow(0, 0, rows)? + attended.state)?)?;
         let hidden = self.feed_forward[0].apply(&first, Activation::Relu)?;
-        let state = self.norms[1].apply(&(&first + self.feed_forward[1].apply(&hidden, Activation::Relu)?)?)?;
+        let state = self.norms[1]
+            .apply(&(&first + self.feed_forward[1].apply(&hidden, Activation::Relu)?)?)?;
         let (receiver, sender) = if last {
             (attended.receiver, attended.sender)
         } else {
-            (self.receiver_norm.apply(&attended.receiver)?, self.sender_norm.apply(&attended.sender)?)
+            (
+                self.receiver_norm.apply(&attended.receiver)?,
+                self.sender_norm.apply(&attended.sender)?,
+            )
         };
-        Ok(Tokens { state, receiver, sender, ..*tokens })
+        Ok(Tokens {
+            state,
+            receiver,
+            sender,
+            ..*tokens
+        })
     }
 
     /// The attention alone, before residuals and norms: Z', `r_proj(r)`, `s_proj(s)`.
@@ -129,15 +152,35 @@ impl Block {
         let rows = tokens.state.dim(0)?;
         let patch_states = tokens.state.narrow(0, 0, patches)?;
         let receiver_query = product(&patch_states, &self.receiver_query)?;
-        let memories = product(&Tensor::cat(&[&tokens.receiver, &tokens.sender], 0)?, &self.memory)?;
-        let r = ((receiver_query.narrow(1, 0, 128)? + memories.narrow(0, 0, patches)?)? + &tokens.receiver)?;
+        let memories = product(
+            &Tensor::cat(&[&tokens.receiver, &tokens.sender], 0)?,
+            &self.memory,
+        )?;
+        let r = ((receiver_query.narrow(1, 0, 128)? + memories.narrow(0, 0, patches)?)?
+            + &tokens.receiver)?;
         let q = receiver_query.narrow(1, 128, 128)?;
-        let s = ((product(&tokens.state, &self.sender)? + memories.narrow(0, patches, rows)?)? + &tokens.sender)?;
-        let attended = attend(&Tensor::cat(&[&r, &q.contiguous()?, &s], 0)?, &self.groups, edges.clone(), self.own_slots)?;
-        let output = linear(&attended, &self.output_weight, &self.output_bias, Activation::None)?;
+        let s = ((product(&tokens.state, &self.sender)? + memories.narrow(0, patches, rows)?)?
+            + &tokens.sender)?;
+        let attended = attend(
+            &Tensor::cat(&[&r, &q.contiguous()?, &s], 0)?,
+            &self.groups,
+            edges.clone(),
+            self.own_slots,
+        )?;
+        let output = linear(
+            &attended,
+            &self.output_weight,
+            &self.output_bias,
+            Activation::None,
+        )?;
         if last {
             let (receiver, sender) = (tokens.receiver.clone(), tokens.sender.clone());
-            return Ok(Tokens { state: output, receiver, sender, ..*tokens });
+            return Ok(Tokens {
+                state: output,
+                receiver,
+                sender,
+                ..*tokens
+            });
         }
         let others = tokens.state.narrow(0, patches, rows - patches)?;
         Ok(Tokens {

@@ -136,11 +136,20 @@ impl ModelConfig {
     /// # Errors
     /// [`ModelError::Config`] naming the field.
     pub fn validate(&self) -> Result<(), ModelError> {
-        let fail = |field, found: String, expected| Err(ModelError::Config { field, found, expected });
+        let fail = |field, found: String, expected| {
+            Err(ModelError::Config {
+                field,
+                found,
+                expected,
+            })
+        };
         if !(1..=64).contains(&self.blocks) {
             return fail("blocks", self.blocks.to_string(), "1 to 64");
         }
-        for (field, radius) in [("body_radius", self.body_radius), ("layer_radius", self.layer_radius)] {
+        for (field, radius) in [
+            ("body_radius", self.body_radius),
+            ("layer_radius", self.layer_radius),
+        ] {
             if !(radius.is_finite() && radius > 0.0) {
                 return fail(field, radius.to_string(), "a positive length in units");
             }

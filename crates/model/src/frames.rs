@@ -34,7 +34,10 @@ pub fn frame(n: [f32; 3], axis: FrameAxis) -> Matrix {
             if dot(n, n).sqrt() < EPSILON {
                 return IDENTITY;
             }
-            let smallest = (0..3).fold(0, |best, k| if n[k].abs() < n[best].abs() { k } else { best });
+            let smallest = (0..3).fold(
+                0,
+                |best, k| if n[k].abs() < n[best].abs() { k } else { best },
+            );
             let mut x = [0.0; 3];
             x[smallest] = 1.0;
             x
@@ -44,14 +47,22 @@ pub fn frame(n: [f32; 3], axis: FrameAxis) -> Matrix {
     let t = [0, 1, 2].map(|k| x[k] - along * n[k]);
     let length = dot(t, t).sqrt() + EPSILON;
     let t = t.map(|value| value / length);
-    let b = [n[1] * t[2] - n[2] * t[1], n[2] * t[0] - n[0] * t[2], n[0] * t[1] - n[1] * t[0]];
+    let b = [
+        n[1] * t[2] - n[2] * t[1],
+        n[2] * t[0] - n[0] * t[2],
+        n[0] * t[1] - n[1] * t[0],
+    ];
     [t, b, n]
 }
 
 /// The unit vector along `v`; zero for (nearly) zero.
 pub fn unit(v: [f32; 3]) -> [f32; 3] {
     let length = dot(v, v).sqrt();
-    if length < EPSILON { [0.0; 3] } else { v.map(|value| value / length) }
+    if length < EPSILON {
+        [0.0; 3]
+    } else {
+        v.map(|value| value / length)
+    }
 }
 
 /// `R v`.

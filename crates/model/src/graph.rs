@@ -109,7 +109,11 @@ fn body_slots(config: &ModelConfig, centres: &[[f32; 3]], grid: &Grid) -> Vec<Ve
                 found.truncate(BODY_SLOTS);
                 let repeats = 1 + (BODY_SLOTS - found.len()) as u32;
                 let count = |slot| if slot == 0 { repeats } else { 1 };
-                found.iter().enumerate().map(|(slot, &(vertex, _))| (vertex, count(slot))).collect()
+                found
+                    .iter()
+                    .enumerate()
+                    .map(|(slot, &(vertex, _))| (vertex, count(slot)))
+                    .collect()
             }
         })
         .collect()
@@ -120,7 +124,10 @@ fn csr_of(rows: &[Vec<u32>]) -> Csr {
     for row in rows {
         offsets.push(offsets.last().expect("not empty") + row.len() as u32);
     }
-    Csr { offsets, items: rows.concat() }
+    Csr {
+        offsets,
+        items: rows.concat(),
+    }
 }
 
 impl FrameGraph {
@@ -128,7 +135,12 @@ impl FrameGraph {
     ///
     /// # Errors
     /// [`ModelError::Input`] if state or body do not fit the outfit, or are not finite.
-    pub fn new(config: &ModelConfig, outfit: &Outfit, state: &[StatePair], step: &Step) -> Result<Self> {
+    pub fn new(
+        config: &ModelConfig,
+        outfit: &Outfit,
+        state: &[StatePair],
+        step: &Step,
+    ) -> Result<Self> {
         check(outfit, state, step)?;
         let patches = &outfit.patches;
         let patch_states = patch_means(&patches.members, state);
@@ -141,8 +153,18 @@ impl FrameGraph {
         let mut found = Vec::new();
         for patch in 0..patches.count() {
             let neighbours = patches.neighbours.row(patch);
-            let attributes = outfit.patch_attributes.row(patch).iter().map(|&a| a + patches.count() as u32);
-            mesh.push(neighbours.iter().copied().chain(attributes).collect::<Vec<u32>>());
+            let attributes = outfit
+                .patch_attributes
+                .row(patch)
+                .iter()
+                .map(|&a| a + patches.count() as u32);
+            mesh.push(
+                neighbours
+                    .iter()
+                    .copied()
+                    .chain(attributes)
+                    .collect::<Vec<u32>>(),
+            );
             layer_grid.within(centres[patch], config.layer_radius, &mut found);
             let far = |&(q, _): &(u32, f32)| neighbours.binary_search(&q).is_err().then_some(q);
             world.push(found.iter().filter_map(far).collect::<Vec<u32>>());
@@ -159,13 +181,23 @@ impl FrameGraph {
         let mut row_of = vec![u32::MAX; body.len()];
         if has_body {
             let normals = vertex_normals(&body, &outfit.body_faces);
-            body_frames = normals.iter().map(|&normal| frame(normal, config.frame_axis)).collect();
+            body_frames = normals
+                .iter()
+                .map(|&normal| frame(normal, config.frame_axis))
+                .collect();
             let grid = Grid::build(&body, config.body_radius);
             slots_of_patch = body_slots(config, &centres, &grid);
-            body_rows = slots_of_patch.iter().flatten().map(|&(vertex, _)| vertex).collect();
+            body_rows = slots_of_patch
+                .iter()
+                .flatten()
+                .map(|&(vertex, _)| vertex)
+                .collect();
             body_rows.sort_unstable();
             body_rows.dedup();
-            token_rotations = body_rows.iter().map(|&vertex| body_frames[vertex as usize]).collect();
+            token_rotations = body_rows
+                .iter()
+                .map(|&vertex| body_frames[vertex as usize])
+                .collect();
             let reach = |p: [f32; 3], found: &mut Vec<(u32, f32)>| {
                 grid.k_nearest(p, 1, config.body_radius, found);
                 found.first().map(|&(vertex, _)| vertex)
@@ -173,7 +205,9 @@ impl FrameGraph {
             for (nearest, &centre) in patch_nearest.iter_mut().zip(&centres) {
                 *nearest = match reach(centre, &mut found) {
                     Some(vertex) => Some((vertex, true)),
-                    None if config.distant_patch_body => grid.nearest(centre).map(|(vertex, _)| (vertex, false)),
+                    None if config.distant_patch_body => {
+                        grid.nearest(centre).map(|(vertex, _)| (vertex, false))
+                    }
                     None => None,
                 };
             }
@@ -195,8 +229,14 @@ impl FrameGraph {
         let vertex_anchors: Vec<Anchor> = vertex_nearest
             .iter()
             .map(|nearest| match *nearest {
-                Some(vertex) => Anchor { row: Some(row_of[vertex as usize]), frame: body_frames[vertex as usize] },
-                None => Anchor { row: None, frame: IDENTITY },
+                Some(vertex) => Anchor {
+                    row: Some(row_of[vertex as usize]),
+                    frame: body_frames[vertex as usize],
+                },
+                None => Anchor {
+                    row: None,
+                    frame: IDENTITY,
+                },
             })
             .collect();
         let patch_anchors = patch_nearest
@@ -204,9 +244,16 @@ impl FrameGraph {
             .map(|nearest| match *nearest {
                 Some((vertex, within)) => Anchor {
                     row: Some(row_of[vertex as usize]),
-                    frame: if within { body_frames[vertex as usize] } else { IDENTITY },
+                    frame: if within {
+                        body_frames[vertex as usize]
+                    } else {
+                        IDENTITY
+                    },
                 },
-                None => Anchor { row: None, frame: IDENTITY },
+                None => Anchor {
+                    row: None,
+                    frame: IDENTITY,
+                },
             })
             .collect();
 
@@ -214,7 +261,10 @@ impl FrameGraph {
         token_rotations.extend(force_frames(config, step));
         let (mut body_lists, mut body_log_count) = (Vec::new(), Vec::new());
         for slots in &slots_of_patch {
-            let mut list: Vec<u32> = slots.iter().map(|&(vertex, _)| row_of[vertex as usize]).collect();
+            let mut list: Vec<u32> = slots
+                .iter()
+                .map(|&(vertex, _)| row_of[vertex as usize])
+                .collect();
             body_log_count.extend(slots.iter().map(|&(_, repeats)| (repeats as f32).ln()));
             list.extend([body_tokens as u32, body_tokens as u32 + 1]);
             body_log_count.extend([0.0, 0.0]);
@@ -256,12 +306,21 @@ fn decoder_slots(
     for (vertex, (&own, state)) in own_patch.iter().zip(state).enumerate() {
         candidates.clear();
         let x = position(state);
-        candidates.extend(patches.neighbours.row(own as usize).iter().map(|&q| (distance(centres[q as usize], x), q)));
+        candidates.extend(
+            patches
+                .neighbours
+                .row(own as usize)
+                .iter()
+                .map(|&q| (distance(centres[q as usize], x), q)),
+        );
         candidates.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         candidates.truncate(PATCHES_PER_VERTEX);
         for &(from_vertex, q) in &candidates {
             if q == own || from_vertex < distance(centres[q as usize], centres[own as usize]) {
-                slots.push(Slot { vertex: vertex as u32, patch: q });
+                slots.push(Slot {
+                    vertex: vertex as u32,
+                    patch: q,
+                });
             }
         }
         offsets.push(slots.len() as u32);
@@ -272,30 +331,63 @@ fn decoder_slots(
 fn force_frames(config: &ModelConfig, step: &Step) -> [Matrix; 2] {
     let g = step.gravity;
     match config.force_frames {
-        ForceFrames::Older => [step.wind_rotations[1], frame([g[3], g[4], g[5]], config.frame_axis)],
-        ForceFrames::NewerUnit => {
-            [step.wind_rotations[0], frame(unit([g[0], g[1], g[2]]), config.frame_axis)]
-        }
+        ForceFrames::Older => [
+            step.wind_rotations[1],
+            frame([g[3], g[4], g[5]], config.frame_axis),
+        ],
+        ForceFrames::NewerUnit => [
+            step.wind_rotations[0],
+            frame(unit([g[0], g[1], g[2]]), config.frame_axis),
+        ],
     }
 }
 
 fn check(outfit: &Outfit, state: &[StatePair], step: &Step) -> Result<()> {
-    let fail = |what, expected: String, found: String| Err(ModelError::Input { what, expected, found });
+    let fail = |what, expected: String, found: String| {
+        Err(ModelError::Input {
+            what,
+            expected,
+            found,
+        })
+    };
     if state.len() != outfit.vertices() {
-        return fail("garment state", format!("{} vertices", outfit.vertices()), state.len().to_string());
+        return fail(
+            "garment state",
+            format!("{} vertices", outfit.vertices()),
+            state.len().to_string(),
+        );
     }
     if step.body.len() != outfit.body_vertices {
-        return fail("body", format!("{} vertices", outfit.body_vertices), step.body.len().to_string());
+        return fail(
+            "body",
+            format!("{} vertices", outfit.body_vertices),
+            step.body.len().to_string(),
+        );
     }
-    let finite = |rows: &[StatePair]| rows.iter().position(|row| !row.iter().all(|value| value.is_finite()));
+    let finite = |rows: &[StatePair]| {
+        rows.iter()
+            .position(|row| !row.iter().all(|value| value.is_finite()))
+    };
     if let Some(vertex) = finite(state) {
-        return fail("garment state", "finite numbers".into(), format!("{:?} at vertex {vertex}", state[vertex]));
+        return fail(
+            "garment state",
+            "finite numbers".into(),
+            format!("{:?} at vertex {vertex}", state[vertex]),
+        );
     }
     if let Some(vertex) = finite(&step.body) {
-        return fail("body", "finite numbers".into(), format!("{:?} at vertex {vertex}", step.body[vertex]));
+        return fail(
+            "body",
+            "finite numbers".into(),
+            format!("{:?} at vertex {vertex}", step.body[vertex]),
+        );
     }
     if let Some(vertex) = outfit.patches.of_vertex.iter().position(<[u32]>::is_empty) {
-        return fail("patches", "every vertex in a patch".into(), format!("vertex {vertex} belongs to no face"));
+        return fail(
+            "patches",
+            "every vertex in a patch".into(),
+            format!("vertex {vertex} belongs to no face"),
+        );
     }
     Ok(())
 }

@@ -54,7 +54,8 @@ struct Encoder {
 
 impl Encoder {
     fn apply(&self, x: &Tensor) -> Result<Tensor> {
-        self.second.apply(&self.first.apply(x, Activation::Relu)?, Activation::Relu)
+        self.second
+            .apply(&self.first.apply(x, Activation::Relu)?, Activation::Relu)
     }
 }
 
@@ -67,15 +68,25 @@ pub(crate) struct Source<'a> {
 impl Source<'_> {
     pub(crate) fn tensor(&self, name: &str) -> Result<Tensor> {
         let variable = self.parameters.get(name)?.as_tensor();
-        Ok(if self.trainable { variable.clone() } else { variable.detach() })
+        Ok(if self.trainable {
+            variable.clone()
+        } else {
+            variable.detach()
+        })
     }
 
     pub(crate) fn affine(&self, name: &str) -> Result<Affine> {
-        Ok(Affine { weight: self.tensor(&format!("{name}.weight"))?, bias: self.tensor(&format!("{name}.bias"))? })
+        Ok(Affine {
+            weight: self.tensor(&format!("{name}.weight"))?,
+            bias: self.tensor(&format!("{name}.bias"))?,
+        })
     }
 
     pub(crate) fn norm(&self, name: &str) -> Result<Norm> {
-        Ok(Norm { weight: self.tensor(&format!("{name}.weight"))?, bias: self.tensor(&format!("{name}.bias"))? })
+        Ok(Norm {
+            weight: self.tensor(&format!("{name}.weight"))?,
+            bias: self.tensor(&format!("{name}.bias"))?,
+        })
     }
 
     fn encoder(&self, name: &str) -> Result<Encoder> {
@@ -129,7 +140,13 @@ impl LayersNet {
     /// # Errors
     /// If a weight is missing.
     pub fn trainable(config: &ModelConfig, parameters: &Parameters) -> Result<Self> {
-        Self::new(config, &Source { parameters, trainable: true })
+        Self::new(
+            config,
+            &Source {
+                parameters,
+                trainable: true,
+            },
+        )
     }
 
     /// The network for prediction only: no graph is kept.
@@ -137,7 +154,13 @@ impl LayersNet {
     /// # Errors
     /// If a weight is missing.
     pub fn frozen(config: &ModelConfig, parameters: &Parameters) -> Result<Self> {
-        Self::new(config, &Source { parameters, trainable: false })
+        Self::new(
+            config,
+            &Source {
+                parameters,
+                trainable: false,
+            },
+        )
     }
 
     fn new(config: &ModelConfig, source: &Source) -> Result<Self> {
@@ -146,8 +169,14 @@ impl LayersNet {
         let wide = source.affine("decode_head.proj.layers.0.0")?;
         let columns = [
             wide.weight.narrow(1, 0, 12)?.contiguous()?,
-            wide.weight.narrow(1, 12, 128)?.contiguous()?.matmul(&rotation)?,
-            wide.weight.narrow(1, 140, 128)?.contiguous()?.matmul(&rotation)?,
+            wide.weight
+                .narrow(1, 12, 128)?
+                .contiguous()?
+                .matmul(&rotation)?,
+            wide.weight
+                .narrow(1, 140, 128)?
+                .contiguous()?
+                .matmul(&rotation)?,
         ];
         let mut blocks = Vec::new();
         for index in 0..config.blocks {
@@ -166,7 +195,10 @@ impl LayersNet {
             receiver_norm: source.norm("backbone.receiver_norm")?,
             sender_norm: source.norm("backbone.sender_norm")?,
             blocks,
-            decoder_first: Affine { weight: Tensor::cat(&columns, 1)?, bias: wide.bias },
+            decoder_first: Affine {
+                weight: Tensor::cat(&columns, 1)?,
+                bias: wide.bias,
+            },
             decoder_second: source.affine("decode_head.proj.layers.1.0")?,
             decoder_last: source.affine("decode_head.proj.layers.2")?,
             rotation: rotation.t()?.contiguous()?,
@@ -206,7 +238,12 @@ impl LayersNet {
             std::array::from_fn(|i| (row[i] - statistics.mean[i % 6]) / statistics.std[i % 6])
         };
         let mut rows: Vec<StatePair> = graph.patch_states.iter().map(normalise).collect();
-        rows.extend(graph.body_rows.iter().map(|&vertex| normalise(&step.body[vertex as usize])));
+        rows.extend(
+            graph
+                .body_rows
+                .iter()
+                .map(|&vertex| normalise(&step.body[vertex as usize])),
+        );
         let encoded = self.states.apply(&self.constant(&rows)?)?;
         let patch_tokens = encoded.narrow(0, 0, patches)?;
         let attribute_tokens = self.attributes.apply(&self.constant(&outfit.attributes)?)?;
@@ -220,7 +257,9 @@ impl LayersNet {
         let senders = self.sender.apply(&Tensor::cat(&[&particles, &body], 0)?)?;
         let mut tokens = Tokens {
             state: Tensor::cat(&[&self.particle_norm.apply(&particles)?, &body], 0)?,
-            receiver: self.receiver_norm.apply(&self.receiver.apply(&patch_tokens)?)?,
+            receiver: self
+                .receiver_norm
+                .apply(&self.receiver.apply(&patch_tokens)?)?,
             sender: self.sender_norm.apply(&senders)?,
             patches,
             particles: patches + attributes,
@@ -231,7 +270,14 @@ impl LayersNet {
             block_outputs.push(tokens.state.narrow(0, 0, patches)?);
         }
         let embedding = block_outputs.last().expect("at least one block");
-        self.decode(statistics, state, embedding, &encoded, graph, block_outputs.clone())
+        self.decode(
+            statistics,
+            state,
+            embedding,
+            &encoded,
+            graph,
+            block_outputs.clone(),
+        )
     }
 
     /// Decoder and integration, for patches and for vertices.
@@ -251,15 +297,34 @@ impl LayersNet {
         let (mut relative, mut from_patch, mut from_body) = (Vec::new(), Vec::new(), Vec::new());
         let mut push = |relative_state: StatePair, patch: u32, anchor: &Anchor| {
             relative.push(turned(&relative_state, anchor));
-            from_patch.push(RowMap { index: patch, matrix: anchor.frame, offset: [0.0; 3] });
+            from_patch.push(RowMap {
+                index: patch,
+                matrix: anchor.frame,
+                offset: [0.0; 3],
+            });
             from_body.push(match anchor.row {
-                Some(row) => RowMap { index: row, matrix: anchor.frame, offset: [0.0; 3] },
-                None => RowMap { index: 0, matrix: [[0.0; 3]; 3], offset: [0.0; 3] },
+                Some(row) => RowMap {
+                    index: row,
+                    matrix: anchor.frame,
+                    offset: [0.0; 3],
+                },
+                None => RowMap {
+                    index: 0,
+                    matrix: [[0.0; 3]; 3],
+                    offset: [0.0; 3],
+                },
             });
         };
         for slot in &graph.slots {
-            let (state, patch) = (&state[slot.vertex as usize], &graph.patch_states[slot.patch as usize]);
-            push(std::array::from_fn(|i| state[i] - patch[i]), slot.patch, &graph.vertex_anchors[slot.vertex as usize]);
+            let (state, patch) = (
+                &state[slot.vertex as usize],
+                &graph.patch_states[slot.patch as usize],
+            );
+            push(
+                std::array::from_fn(|i| state[i] - patch[i]),
+                slot.patch,
+                &graph.vertex_anchors[slot.vertex as usize],
+            );
         }
         for (patch, anchor) in graph.patch_anchors.iter().enumerate() {
             push([0.0; 12], patch as u32, anchor);
@@ -268,10 +333,19 @@ impl LayersNet {
             Tensor::zeros((pairs + patches, 3), self.dtype, &Device::Cpu)?
         } else {
             let body_rows = encoded.narrow(0, patches, graph.body_rows.len())?;
-            map_rows(&crate::kernels::linear::product(&body_rows, &self.rotation)?, from_body)?
+            map_rows(
+                &crate::kernels::linear::product(&body_rows, &self.rotation)?,
+                from_body,
+            )?
         };
-        let features =
-            Tensor::cat(&[&self.constant(&relative)?, &map_rows(&patch_numbers, from_patch)?, &body_part], 1)?;
+        let features = Tensor::cat(
+            &[
+                &self.constant(&relative)?,
+                &map_rows(&patch_numbers, from_patch)?,
+                &body_part,
+            ],
+            1,
+        )?;
         let hidden = self.decoder_first.apply(&features, Activation::Relu)?;
         let hidden = self.decoder_second.apply(&hidden, Activation::Relu)?;
         // The last layer is linear, so the mean over a vertex's patches is taken before it.
@@ -290,7 +364,11 @@ impl LayersNet {
             .map(|(index, anchor)| {
                 let r = transposed(&anchor.frame);
                 let matrix = [0, 1, 2].map(|axis| r[axis].map(|value| value * std[axis]));
-                RowMap { index: index as u32, matrix, offset: mean }
+                RowMap {
+                    index: index as u32,
+                    matrix,
+                    offset: mean,
+                }
             })
             .collect();
         let world = map_rows(&local, back)?;
@@ -298,7 +376,13 @@ impl LayersNet {
         let patch_acceleration = world.narrow(0, vertices, patches)?;
         let own = Tensor::new(graph.own_patch.as_slice(), &Device::Cpu)?;
         let acceleration = (&relative + patch_acceleration.contiguous()?.index_select(&own, 0)?)?;
-        Ok(Prediction { acceleration, relative, patch_acceleration, blocks, graph })
+        Ok(Prediction {
+            acceleration,
+            relative,
+            patch_acceleration,
+            blocks,
+            graph,
+        })
     }
 }
 

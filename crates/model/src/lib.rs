@@ -14,7 +14,9 @@ pub mod kernels;
 mod layersnet;
 pub mod parameters;
 
-pub use config::{BodyMessages, BodySlots, ForceFrames, FrameAxis, GravitySource, ModelConfig, OutputScale};
+pub use config::{
+    BodyMessages, BodySlots, ForceFrames, FrameAxis, GravitySource, ModelConfig, OutputScale,
+};
 pub use error::{ModelError, Result};
 pub use graph::{Anchor, FrameGraph, Slot, patch_means};
 pub use layersnet::{LayersNet, Prediction};

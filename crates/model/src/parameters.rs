@@ -34,7 +34,10 @@ enum Start {
 fn inventory(config: &ModelConfig) -> BTreeMap<String, (Vec<usize>, Start)> {
     let mut all = BTreeMap::new();
     let mut linear = |name: &str, out: usize, inner: usize, bias: bool| {
-        all.insert(format!("{name}.weight"), (vec![out, inner], Start::Uniform(inner)));
+        all.insert(
+            format!("{name}.weight"),
+            (vec![out, inner], Start::Uniform(inner)),
+        );
         if bias {
             all.insert(format!("{name}.bias"), (vec![out], Start::Uniform(inner)));
         }
@@ -52,23 +55,51 @@ fn inventory(config: &ModelConfig) -> BTreeMap<String, (Vec<usize>, Start)> {
     }
     for block in 0..config.blocks {
         let base = format!("backbone.encoder.layers.{block}");
-        for name in ["receiver_weight", "sender_weight", "memory_weight", "q_proj.layers.0"] {
-            linear(&format!("{base}.self_attn.attn.{name}"), WIDTH, WIDTH, false);
+        for name in [
+            "receiver_weight",
+            "sender_weight",
+            "memory_weight",
+            "q_proj.layers.0",
+        ] {
+            linear(
+                &format!("{base}.self_attn.attn.{name}"),
+                WIDTH,
+                WIDTH,
+                false,
+            );
         }
         for name in ["proj", "r_proj", "s_proj"] {
-            linear(&format!("{base}.self_attn.attn.{name}.layers.0"), WIDTH, WIDTH, true);
+            linear(
+                &format!("{base}.self_attn.attn.{name}.layers.0"),
+                WIDTH,
+                WIDTH,
+                true,
+            );
         }
         for group in 0..GROUPS {
-            linear(&format!("{base}.self_attn.attn.rs_mlp.group_layers.{group}.layers.0"), HEAD, HEAD, true);
+            linear(
+                &format!("{base}.self_attn.attn.rs_mlp.group_layers.{group}.layers.0"),
+                HEAD,
+                HEAD,
+                true,
+            );
         }
         linear(&format!("{base}.ffn.layers.0.0"), FEED_FORWARD, WIDTH, true);
         linear(&format!("{base}.ffn.layers.1"), WIDTH, FEED_FORWARD, true);
     }
     for (layer, out) in [("0.0", DECODER_WIDTH), ("1.0", DECODER_WIDTH), ("2", 3)] {
-        linear(&format!("decode_head.proj.layers.{layer}"), out, DECODER_WIDTH, true);
+        linear(
+            &format!("decode_head.proj.layers.{layer}"),
+            out,
+            DECODER_WIDTH,
+            true,
+        );
     }
     let mut norm = |name: &str| {
-        all.insert(format!("{name}.weight"), (vec![WIDTH], Start::Constant(1.0)));
+        all.insert(
+            format!("{name}.weight"),
+            (vec![WIDTH], Start::Constant(1.0)),
+        );
         all.insert(format!("{name}.bias"), (vec![WIDTH], Start::Constant(0.0)));
     };
     for name in ["receiver_norm", "sender_norm", "particle_norm"] {
@@ -82,10 +113,19 @@ fn inventory(config: &ModelConfig) -> BTreeMap<String, (Vec<usize>, Start)> {
     all.insert(rotation_name(), (vec![WIDTH, 3], Start::Orthonormal));
     for block in 0..config.blocks {
         let base = format!("backbone.encoder.layers.{block}.self_attn.attn");
-        all.insert(format!("{base}.n_weight"), (vec![1, 1, WIDTH], Start::Constant(1.0)));
-        all.insert(format!("{base}.n_bias"), (vec![1, 1, WIDTH], Start::Constant(0.0)));
+        all.insert(
+            format!("{base}.n_weight"),
+            (vec![1, 1, WIDTH], Start::Constant(1.0)),
+        );
+        all.insert(
+            format!("{base}.n_bias"),
+            (vec![1, 1, WIDTH], Start::Constant(0.0)),
+        );
         for group in 0..GROUPS {
-            all.insert(group_rotation_name(block, group), (vec![HEAD, 3], Start::Orthonormal));
+            all.insert(
+                group_rotation_name(block, group),
+                (vec![HEAD, 3], Start::Orthonormal),
+            );
         }
     }
     all
@@ -98,7 +138,9 @@ pub fn rotation_name() -> String {
 
 /// Name of a head group's rotation weight `[16, 3]`.
 pub fn group_rotation_name(block: usize, group: usize) -> String {
-    format!("backbone.encoder.layers.{block}.self_attn.attn.rot_mapping.group_layers.{group}.0.model.weight")
+    format!(
+        "backbone.encoder.layers.{block}.self_attn.attn.rot_mapping.group_layers.{group}.0.model.weight"
+    )
 }
 
 /// Whether a weight influences nothing: the last block's receiver and sender updates.
@@ -131,7 +173,9 @@ impl Parameters {
                 Start::Constant(value) => vec![value; count],
                 Start::Uniform(fan_in) => {
                     let bound = 1.0 / (fan_in as f32).sqrt();
-                    (0..count).map(|_| rng.random_range(-bound..bound)).collect()
+                    (0..count)
+                        .map(|_| rng.random_range(-bound..bound))
+                        .collect()
                 }
                 Start::Orthonormal => orthonormal_columns(shape[0], &mut rng),
             };
@@ -146,8 +190,12 @@ impl Parameters {
     /// # Errors
     /// [`ModelError::File`] and [`ModelError::Weights`].
     pub fn load(path: &Path, config: &ModelConfig, dtype: DType) -> Result<Self> {
-        let tensors = candle_core::safetensors::load(path, &Device::Cpu)
-            .map_err(|cause| ModelError::File { path: path.into(), cause: cause.to_string() })?;
+        let tensors = candle_core::safetensors::load(path, &Device::Cpu).map_err(|cause| {
+            ModelError::File {
+                path: path.into(),
+                cause: cause.to_string(),
+            }
+        })?;
         Self::from_tensors(tensors.into_iter().collect(), config, dtype)
     }
 
@@ -155,28 +203,46 @@ impl Parameters {
     ///
     /// # Errors
     /// [`ModelError::Weights`].
-    pub fn from_tensors(mut tensors: BTreeMap<String, Tensor>, config: &ModelConfig, dtype: DType) -> Result<Self> {
+    pub fn from_tensors(
+        mut tensors: BTreeMap<String, Tensor>,
+        config: &ModelConfig,
+        dtype: DType,
+    ) -> Result<Self> {
         let mut variables = BTreeMap::new();
         for (name, (shape, _)) in inventory(config) {
             let Some(tensor) = tensors.remove(&name) else {
-                return Err(ModelError::Weights { name, expected: format!("shape {shape:?}"), found: "nothing".into() });
+                return Err(ModelError::Weights {
+                    name,
+                    expected: format!("shape {shape:?}"),
+                    found: "nothing".into(),
+                });
             };
             if tensor.dims() != shape {
                 let found = format!("shape {:?}", tensor.dims());
-                return Err(ModelError::Weights { name, expected: format!("shape {shape:?}"), found });
+                return Err(ModelError::Weights {
+                    name,
+                    expected: format!("shape {shape:?}"),
+                    found,
+                });
             }
             variables.insert(name, Var::from_tensor(&tensor.to_dtype(dtype)?)?);
         }
         if let Some((name, tensor)) = tensors.into_iter().next() {
             let found = format!("shape {:?}: made for another configuration?", tensor.dims());
-            return Err(ModelError::Weights { name, expected: "no such tensor".into(), found });
+            return Err(ModelError::Weights {
+                name,
+                expected: "no such tensor".into(),
+                found,
+            });
         }
         Ok(Self { variables })
     }
 
     /// Names and variables, sorted by name.
     pub fn iter(&self) -> impl Iterator<Item = (&str, &Var)> {
-        self.variables.iter().map(|(name, variable)| (name.as_str(), variable))
+        self.variables
+            .iter()
+            .map(|(name, variable)| (name.as_str(), variable))
     }
 
     /// One variable.
@@ -193,7 +259,10 @@ impl Parameters {
 
     /// Number of scalars.
     pub fn count(&self) -> usize {
-        self.variables.values().map(|variable| variable.elem_count()).sum()
+        self.variables
+            .values()
+            .map(|variable| variable.elem_count())
+            .sum()
     }
 }
 
@@ -204,12 +273,17 @@ fn orthonormal_columns(rows: usize, rng: &mut impl Rng) -> Vec<f32> {
         let mut column: Vec<f64> = (0..rows).map(|_| rng.random_range(-1.0..1.0)).collect();
         for done in &columns {
             let along: f64 = column.iter().zip(done).map(|(a, b)| a * b).sum();
-            column.iter_mut().zip(done).for_each(|(a, b)| *a -= along * b);
+            column
+                .iter_mut()
+                .zip(done)
+                .for_each(|(a, b)| *a -= along * b);
         }
         let length = column.iter().map(|a| a * a).sum::<f64>().sqrt();
         if length > 1e-3 {
             columns.push(column.iter().map(|a| a / length).collect());
         }
     }
-    (0..rows).flat_map(|row| columns.iter().map(move |column| column[row] as f32)).collect()
+    (0..rows)
+        .flat_map(|row| columns.iter().map(move |column| column[row] as f32))
+        .collect()
 }

@@ -30,7 +30,12 @@ impl Adam {
     ///
     /// # Errors
     /// If a gradient does not fit its weight.
-    pub fn update(&mut self, parameters: &Parameters, gradients: &Gradients, learning_rate: f64) -> Result<()> {
+    pub fn update(
+        &mut self,
+        parameters: &Parameters,
+        gradients: &Gradients,
+        learning_rate: f64,
+    ) -> Result<()> {
         self.updates += 1;
         let steps = i32::try_from(self.updates).unwrap_or(i32::MAX);
         let (fix1, fix2) = (1.0 - BETA1.powi(steps), 1.0 - BETA2.powi(steps));
@@ -40,9 +45,14 @@ impl Adam {
         for (name, gradient) in gradients {
             let variable = parameters.get(name)?;
             let mut weights: Vec<f32> = variable.as_tensor().flatten_all()?.to_vec1()?;
-            let [m, v] =
-                self.moments.entry(name.clone()).or_insert_with(|| [vec![0.0; weights.len()], vec![0.0; weights.len()]]);
-            assert!(gradient.len() == weights.len() && m.len() == weights.len(), "gradient of {name} fits");
+            let [m, v] = self
+                .moments
+                .entry(name.clone())
+                .or_insert_with(|| [vec![0.0; weights.len()], vec![0.0; weights.len()]]);
+            assert!(
+                gradient.len() == weights.len() && m.len() == weights.len(),
+                "gradient of {name} fits"
+            );
             for (((w, &g), m), v) in weights.iter_mut().zip(gradient).zip(m).zip(v) {
                 *m = b1 * *m + (1.0 - b1) * g;
                 *v = b2 * *v + (1.0 - b2) * g * g;
@@ -61,7 +71,10 @@ impl Adam {
         let mut tensors = BTreeMap::new();
         for (name, moments) in &self.moments {
             for (kind, values) in ["m", "v"].iter().zip(moments) {
-                tensors.insert(format!("{kind}/{name}"), Tensor::new(values.as_slice(), &Device::Cpu)?);
+                tensors.insert(
+                    format!("{kind}/{name}"),
+                    Tensor::new(values.as_slice(), &Device::Cpu)?,
+                );
             }
         }
         Ok(tensors)
@@ -74,12 +87,18 @@ impl Adam {
     pub fn from_tensors(updates: u64, tensors: &BTreeMap<String, Tensor>) -> Result<Self> {
         let mut moments = BTreeMap::new();
         for (name, tensor) in tensors {
-            let Some(weight) = name.strip_prefix("m/") else { continue };
-            let second = tensors.get(&format!("v/{weight}")).ok_or_else(|| TrainError::Run {
-                path: "optimiser state".into(),
-                cause: format!("moment v/{weight} is missing: the checkpoint is not whole"),
-            })?;
-            let read = |tensor: &Tensor| -> Result<Vec<f32>> { Ok(tensor.to_dtype(DType::F32)?.flatten_all()?.to_vec1()?) };
+            let Some(weight) = name.strip_prefix("m/") else {
+                continue;
+            };
+            let second = tensors
+                .get(&format!("v/{weight}"))
+                .ok_or_else(|| TrainError::Run {
+                    path: "optimiser state".into(),
+                    cause: format!("moment v/{weight} is missing: the checkpoint is not whole"),
+                })?;
+            let read = |tensor: &Tensor| -> Result<Vec<f32>> {
+                Ok(tensor.to_dtype(DType::F32)?.flatten_all()?.to_vec1()?)
+            };
             moments.insert(weight.to_string(), [read(tensor)?, read(second)?]);
         }
         Ok(Self { updates, moments })

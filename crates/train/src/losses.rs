@@ -39,7 +39,10 @@ pub struct Term {
 
 impl Term {
     pub(crate) fn zero(vertices: usize) -> Self {
-        Self { value: 0.0, gradient: vec![[0.0; 3]; vertices] }
+        Self {
+            value: 0.0,
+            gradient: vec![[0.0; 3]; vertices],
+        }
     }
 
     fn add(&mut self, other: &Term, weight: f64) {
@@ -91,7 +94,12 @@ impl LossConfig {
     pub fn released() -> Self {
         Self {
             body_collision: 1.3,
-            collision: CollisionConfig { threshold: 1e-3, reach: None, skip_borders: false, mean: CollisionMean::Hits },
+            collision: CollisionConfig {
+                threshold: 1e-3,
+                reach: None,
+                skip_borders: false,
+                mean: CollisionMean::Hits,
+            },
             ..Self::default()
         }
     }
@@ -118,6 +126,15 @@ impl LossValues {
         self.position + self.patch + self.normal + self.body_collision + self.layer_collision
     }
 
+    /// Adds another sample's terms times `weight`.
+    pub fn add(&mut self, other: &Self, weight: f64) {
+        self.position += weight * other.position;
+        self.patch += weight * other.patch;
+        self.normal += weight * other.normal;
+        self.body_collision += weight * other.body_collision;
+        self.layer_collision += weight * other.layer_collision;
+    }
+
     /// Name of the first term that is not finite.
     pub fn not_finite(&self) -> Option<&'static str> {
         let terms = [
@@ -127,7 +144,10 @@ impl LossValues {
             ("loss body collision", self.body_collision),
             ("loss layer collision", self.layer_collision),
         ];
-        terms.into_iter().find(|(_, value)| !value.is_finite()).map(|(name, _)| name)
+        terms
+            .into_iter()
+            .find(|(_, value)| !value.is_finite())
+            .map(|(name, _)| name)
     }
 }
 
@@ -168,18 +188,29 @@ pub fn all_terms(
     values.position = add(&squared_error(predicted, &truth), config.position);
     let predicted_normals = MeshNormals::new(predicted, &outfit.faces);
     let true_normals = MeshNormals::new(&truth, &outfit.faces);
-    values.normal = add(&normal::normal_loss(&predicted_normals, &true_normals), config.normal);
+    values.normal = add(
+        &normal::normal_loss(&predicted_normals, &true_normals),
+        config.normal,
+    );
     if with_collisions && config.body_collision > 0.0 && outfit.body_vertices > 0 {
-        let term = collision::body_collision(&config.collision, predicted, &step.body, &outfit.body_faces);
+        let term =
+            collision::body_collision(&config.collision, predicted, &step.body, &outfit.body_faces);
         values.body_collision = add(&term, config.body_collision);
     }
     if with_collisions && config.layer_collision > 0.0 && outfit.garments() > 1 {
-        let term = collision::layer_collision(&config.collision, outfit, predicted, &predicted_normals);
+        let term =
+            collision::layer_collision(&config.collision, outfit, predicted, &predicted_normals);
         values.layer_collision = add(&term, config.layer_collision);
     }
-    let patch_truth: Vec<Vector> = patch_means(&outfit.patches.members, reference).iter().map(wide).collect();
+    let patch_truth: Vec<Vector> = patch_means(&outfit.patches.members, reference)
+        .iter()
+        .map(wide)
+        .collect();
     let mut patches = Term::zero(predicted_patches.len());
-    patches.add(&squared_error(predicted_patches, &patch_truth), config.patch);
+    patches.add(
+        &squared_error(predicted_patches, &patch_truth),
+        config.patch,
+    );
     values.patch = patches.value;
     (values, total.gradient, patches.gradient)
 }

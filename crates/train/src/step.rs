@@ -80,20 +80,37 @@ pub fn sample_gradient(
     let prediction = net.forward(&sample.outfit, statistics, state, step)?;
     let dtype = prediction.acceleration.dtype();
     let values = |tensor: &candle_core::Tensor| -> Result<Vec<f32>> {
-        Ok(tensor.to_dtype(candle_core::DType::F32)?.flatten_all()?.to_vec1()?)
+        Ok(tensor
+            .to_dtype(candle_core::DType::F32)?
+            .flatten_all()?
+            .to_vec1()?)
     };
     let predicted = integrate(state, &values(&prediction.acceleration)?);
-    let patches = integrate(&prediction.graph.patch_states, &values(&prediction.patch_acceleration)?);
-    let (losses, by_vertex, by_patch) =
-        all_terms(losses, &sample.outfit, step, &predicted, &patches, reference, with_collisions);
+    let patches = integrate(
+        &prediction.graph.patch_states,
+        &values(&prediction.patch_acceleration)?,
+    );
+    let (losses, by_vertex, by_patch) = all_terms(
+        losses,
+        &sample.outfit,
+        step,
+        &predicted,
+        &patches,
+        reference,
+        with_collisions,
+    );
     // The losses' gradients are known, so a linear form with these coefficients
     // carries them into the graph.
-    let form = |output: &candle_core::Tensor, gradient: &[[f64; 3]]| -> Result<candle_core::Tensor> {
+    let form = |output: &candle_core::Tensor,
+                gradient: &[[f64; 3]]|
+     -> Result<candle_core::Tensor> {
         let flat: Vec<f64> = gradient.as_flattened().to_vec();
-        let coefficients = candle_core::Tensor::from_vec(flat, output.shape(), output.device())?.to_dtype(dtype)?;
+        let coefficients = candle_core::Tensor::from_vec(flat, output.shape(), output.device())?
+            .to_dtype(dtype)?;
         Ok((output * coefficients)?.sum_all()?)
     };
-    let total = (form(&prediction.acceleration, &by_vertex)? + form(&prediction.patch_acceleration, &by_patch)?)?;
+    let total = (form(&prediction.acceleration, &by_vertex)?
+        + form(&prediction.patch_acceleration, &by_patch)?)?;
     let store = total.backward()?;
     let mut gradients = Gradients::new();
     for (name, variable) in parameters.iter() {
@@ -101,5 +118,9 @@ pub fn sample_gradient(
             gradients.insert(name.to_string(), values(gradient)?);
         }
     }
-    Ok(SampleGradient { losses, gradients, prediction })
+    Ok(SampleGradient {
+        losses,
+        gradients,
+        prediction,
+    })
 }

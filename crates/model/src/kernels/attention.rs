@@ -65,8 +65,15 @@ pub struct Edges {
 ///
 /// # Errors
 /// Shapes that do not fit the edges, or a type other than f32 and f64.
-pub fn attend(tokens: &Tensor, parameters: &Tensor, edges: Arc<Edges>, own_slots: bool) -> Result<Tensor> {
-    tokens.contiguous()?.apply_op2(&parameters.contiguous()?, Attention { edges, own_slots })
+pub fn attend(
+    tokens: &Tensor,
+    parameters: &Tensor,
+    edges: Arc<Edges>,
+    own_slots: bool,
+) -> Result<Tensor> {
+    tokens
+        .contiguous()?
+        .apply_op2(&parameters.contiguous()?, Attention { edges, own_slots })
 }
 
 struct Attention {
@@ -105,7 +112,9 @@ impl<'a, T: Real> Group<'a, T> {
 
 #[inline(always)]
 fn head<T: Real>(row: &[T], start: usize) -> &[T; HEAD] {
-    row[start..start + HEAD].try_into().expect("a head is 16 wide")
+    row[start..start + HEAD]
+        .try_into()
+        .expect("a head is 16 wide")
 }
 
 #[inline(always)]
@@ -205,22 +214,46 @@ impl<'a, T: Real> Input<'a, T> {
             let squared = tree_sum(squares);
             let floor = T::of(SQUARED_DISTANCE_FLOOR);
             // Written so that a NaN stays a NaN and is found.
-            let distance = if squared < floor { floor.sqrt() } else { squared.sqrt() };
+            let distance = if squared < floor {
+                floor.sqrt()
+            } else {
+                squared.sqrt()
+            };
             let alignment = tree_sum(products);
             let weight = T::of(2.0 * KAPPA) * alignment / (distance + T::of(2.0 * EPSILON)) + bias;
-            Entry { row, body, distance, alignment, weight }
+            Entry {
+                row,
+                body,
+                distance,
+                alignment,
+                weight,
+            }
         };
-        out.extend(list.row(receiver).iter().map(|&sender| score(first + sender as usize, None, T::zero())));
+        out.extend(
+            list.row(receiver)
+                .iter()
+                .map(|&sender| score(first + sender as usize, None, T::zero())),
+        );
         if !mesh {
-            let range = edges.body.offsets[receiver] as usize..edges.body.offsets[receiver + 1] as usize;
+            let range =
+                edges.body.offsets[receiver] as usize..edges.body.offsets[receiver + 1] as usize;
             let counts = &edges.body_log_count[range.clone()];
-            out.extend(edges.body.items[range].iter().zip(counts).map(|(&token, &count)| {
-                let row = first + edges.senders + token as usize;
-                score(row, Some(token as usize), T::of(f64::from(count)))
-            }));
+            out.extend(
+                edges.body.items[range]
+                    .iter()
+                    .zip(counts)
+                    .map(|(&token, &count)| {
+                        let row = first + edges.senders + token as usize;
+                        score(row, Some(token as usize), T::of(f64::from(count)))
+                    }),
+            );
         }
         let largest = out.iter().fold(T::neg_infinity(), |top, entry| {
-            if entry.weight > top || entry.weight.is_nan() { entry.weight } else { top }
+            if entry.weight > top || entry.weight.is_nan() {
+                entry.weight
+            } else {
+                top
+            }
         });
         let mut total = T::zero();
         for entry in out.iter_mut() {
@@ -234,7 +267,11 @@ impl<'a, T: Real> Input<'a, T> {
 
     #[inline(always)]
     fn body_start(&self, group: usize) -> usize {
-        if self.own_slots { 2 * group * HEAD } else { group * HEAD }
+        if self.own_slots {
+            2 * group * HEAD
+        } else {
+            group * HEAD
+        }
     }
 
     /// `R Wᵀ(r + s)` and `relu(M W ·  + c)` of a body entry.
@@ -242,7 +279,10 @@ impl<'a, T: Real> Input<'a, T> {
     fn body_inner(&self, group: usize, token: usize, a: [T; 3]) -> ([T; 3], [T; HEAD]) {
         let g = &self.groups[group];
         let b = self.body_projected[token][group];
-        let t = turn(&self.edges.rotations[token], [a[0] + b[0], a[1] + b[1], a[2] + b[2]]);
+        let t = turn(
+            &self.edges.rotations[token],
+            [a[0] + b[0], a[1] + b[1], a[2] + b[2]],
+        );
         let mut y = [T::zero(); HEAD];
         for i in 0..HEAD {
             let value = g.mw[i][0] * t[0] + g.mw[i][1] * t[1] + g.mw[i][2] * t[2] + g.c[i];
@@ -269,7 +309,10 @@ fn forward_rows<T: Real>(input: &Input<T>, first: usize, out: &mut [T]) {
                     let value = entry.weight / entry.distance;
                     if let Some(token) = entry.body {
                         let (_, y) = input.body_inner(group, token, a);
-                        let o = turn_back(&input.edges.rotations[token], project(input.groups[group].w, &y));
+                        let o = turn_back(
+                            &input.edges.rotations[token],
+                            project(input.groups[group].w, &y),
+                        );
                         for axis in 0..3 {
                             turned[axis] += value * o[axis];
                         }
@@ -287,7 +330,9 @@ fn forward_rows<T: Real>(input: &Input<T>, first: usize, out: &mut [T]) {
                     let w = input.groups[group].w;
                     let body = input.body_start(group);
                     for i in 0..HEAD {
-                        out[body + i] += w[3 * i] * turned[0] + w[3 * i + 1] * turned[1] + w[3 * i + 2] * turned[2];
+                        out[body + i] += w[3 * i] * turned[0]
+                            + w[3 * i + 1] * turned[1]
+                            + w[3 * i + 2] * turned[2];
                     }
                 }
             }
@@ -344,7 +389,13 @@ fn backward_rows<T: Real>(input: &Input<T>, grad: &[T], out: &mut Output<T>) {
                         for i in 0..HEAD {
                             sum[i] = g[i] * (r[i] + s[i]);
                         }
-                        (tree_sum(sum) / entry.distance, zero3, [T::zero(); HEAD], zero3, zero3)
+                        (
+                            tree_sum(sum) / entry.distance,
+                            zero3,
+                            [T::zero(); HEAD],
+                            zero3,
+                            zero3,
+                        )
                     };
                     mean += entry.weight * parts.0;
                     inner.push(parts);
@@ -360,10 +411,17 @@ fn backward_rows<T: Real>(input: &Input<T>, grad: &[T], out: &mut Output<T>) {
                     let value = entry.weight / entry.distance;
                     // Both the logit and the message fall with the distance; below its floor it is constant.
                     let floored = entry.distance * entry.distance <= T::of(SQUARED_DISTANCE_FLOOR);
-                    let d_distance =
-                        if floored { T::zero() } else { -(scale * entry.alignment / soft + value * dp) };
+                    let d_distance = if floored {
+                        T::zero()
+                    } else {
+                        -(scale * entry.alignment / soft + value * dp)
+                    };
                     let along = d_distance / entry.distance;
-                    let plain = if entry.body.is_some() { T::zero() } else { value };
+                    let plain = if entry.body.is_some() {
+                        T::zero()
+                    } else {
+                        value
+                    };
                     let ds = &mut out.tokens[entry.row * WIDTH + start..][..HEAD];
                     for i in 0..HEAD {
                         let both = scale * q[i] + plain * g[i];
@@ -383,10 +441,12 @@ fn backward_rows<T: Real>(input: &Input<T>, grad: &[T], out: &mut Output<T>) {
                             for axis in 0..3 {
                                 dw[3 * i + axis] += y[i] * dz[axis];
                             }
-                            let raw = w[3 * i] * dz[0] + w[3 * i + 1] * dz[1] + w[3 * i + 2] * dz[2];
+                            let raw =
+                                w[3 * i] * dz[0] + w[3 * i + 1] * dz[1] + w[3 * i + 2] * dz[2];
                             dy[i] = if y[i] > T::zero() { raw } else { T::zero() };
                         }
-                        let dc = &mut out.parameters[group * GROUP_PARAMETERS + HEAD * 3 + HEAD * HEAD..][..HEAD];
+                        let dc = &mut out.parameters
+                            [group * GROUP_PARAMETERS + HEAD * 3 + HEAD * HEAD..][..HEAD];
                         let (mw, dmw) = (&input.groups[group].mw, &mut out.mw[group]);
                         for i in 0..HEAD {
                             dc[i] += dy[i];
@@ -433,7 +493,9 @@ impl Attention {
         let first = 2 * self.edges.mesh.rows() + self.edges.senders;
         tokens[first * WIDTH..]
             .chunks_exact(WIDTH)
-            .map(|row| std::array::from_fn(|group| project(groups[group].w, head(row, 2 * group * HEAD))))
+            .map(|row| {
+                std::array::from_fn(|group| project(groups[group].w, head(row, 2 * group * HEAD)))
+            })
             .collect()
     }
 
@@ -443,23 +505,39 @@ impl Attention {
         let receivers = edges.mesh.rows();
         let expected = 2 * receivers + edges.senders + edges.rotations.len();
         if rows != expected || width != WIDTH {
-            candle_core::bail!("attention: tokens [{rows}, {width}], edges expect [{expected}, {WIDTH}]");
+            candle_core::bail!(
+                "attention: tokens [{rows}, {width}], edges expect [{expected}, {WIDTH}]"
+            );
         }
         if parameters.shape().elem_count() != GROUPS * GROUP_PARAMETERS {
-            candle_core::bail!("attention: {:?} parameters, expected {}", parameters.shape(), GROUPS * GROUP_PARAMETERS);
+            candle_core::bail!(
+                "attention: {:?} parameters, expected {}",
+                parameters.shape(),
+                GROUPS * GROUP_PARAMETERS
+            );
         }
         if edges.world.rows() != receivers
             || edges.body.rows() != receivers
             || edges.body_log_count.len() != edges.body.items.len()
         {
-            candle_core::bail!("attention: mesh, world and body lists differ in their number of receivers");
+            candle_core::bail!(
+                "attention: mesh, world and body lists differ in their number of receivers"
+            );
         }
         Ok(())
     }
 
-    fn gradients<T: Real>(&self, tokens: &Tensor, parameters: &Tensor, grad: &Tensor) -> Result<(Tensor, Tensor)> {
-        let (token_values, parameter_values, grad) =
-            (values::<T>(tokens)?, values::<T>(parameters)?, values::<T>(grad)?);
+    fn gradients<T: Real>(
+        &self,
+        tokens: &Tensor,
+        parameters: &Tensor,
+        grad: &Tensor,
+    ) -> Result<(Tensor, Tensor)> {
+        let (token_values, parameter_values, grad) = (
+            values::<T>(tokens)?,
+            values::<T>(parameters)?,
+            values::<T>(grad)?,
+        );
         let groups = Group::all(&parameter_values);
         let projected = self.body_projected(&token_values, &groups);
         let receivers = self.edges.mesh.rows();
@@ -490,7 +568,8 @@ impl Attention {
                 for i in 0..HEAD {
                     for axis in 0..3 {
                         d_tokens[at + i] += groups[group].w[3 * i + axis] * d[group][axis];
-                        d_parameters[group * GROUP_PARAMETERS + 3 * i + axis] += token_values[at + i] * d[group][axis];
+                        d_parameters[group * GROUP_PARAMETERS + 3 * i + axis] +=
+                            token_values[at + i] * d[group][axis];
                     }
                 }
             }
@@ -502,8 +581,10 @@ impl Attention {
             for row in 0..HEAD {
                 for inner in 0..HEAD {
                     for axis in 0..3 {
-                        d_parameters[base + HEAD * 3 + row * HEAD + inner] += d[row][axis] * w[3 * inner + axis];
-                        d_parameters[base + 3 * inner + axis] += d[row][axis] * m[row * HEAD + inner];
+                        d_parameters[base + HEAD * 3 + row * HEAD + inner] +=
+                            d[row][axis] * w[3 * inner + axis];
+                        d_parameters[base + 3 * inner + axis] +=
+                            d[row][axis] * m[row * HEAD + inner];
                     }
                 }
             }
@@ -521,7 +602,13 @@ impl CustomOp2 for Attention {
         "rotation-invariant-attention"
     }
 
-    fn cpu_fwd(&self, s1: &CpuStorage, l1: &Layout, s2: &CpuStorage, l2: &Layout) -> Result<(CpuStorage, Shape)> {
+    fn cpu_fwd(
+        &self,
+        s1: &CpuStorage,
+        l1: &Layout,
+        s2: &CpuStorage,
+        l2: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
         self.check(l1, l2)?;
         by_dtype!(super::dtype_of(s1), T => {
             let (tokens, parameters) = (operand::<T>(s1, l1)?, operand::<T>(s2, l2)?);

@@ -14,7 +14,8 @@ const EPSILON: f64 = 1e-5;
 /// # Errors
 /// Shapes that do not fit, or a type other than f32 and f64.
 pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
-    x.contiguous()?.apply_op3(&weight.contiguous()?, &bias.contiguous()?, LayerNorm)
+    x.contiguous()?
+        .apply_op3(&weight.contiguous()?, &bias.contiguous()?, LayerNorm)
 }
 
 struct LayerNorm;
@@ -51,10 +52,19 @@ fn forward_rows<T: Real>(x: &[T], w: &[T], b: &[T], y: &mut [T]) {
 fn backward_rows<T: Real>(x: &[T], w: &[T], g: &[T], dx: &mut [T], dw: &mut [T], db: &mut [T]) {
     let width = w.len();
     let n = T::of(width as f64);
-    for ((x, g), dx) in x.chunks_exact(width).zip(g.chunks_exact(width)).zip(dx.chunks_exact_mut(width)) {
+    for ((x, g), dx) in x
+        .chunks_exact(width)
+        .zip(g.chunks_exact(width))
+        .zip(dx.chunks_exact_mut(width))
+    {
         let (mean, inverse) = moments(x);
         let mean_h = lane_sum(g.iter().zip(w).map(|(&g, &w)| g * w)) / n;
-        let mean_hn = lane_sum(g.iter().zip(w).zip(x).map(|((&g, &w), &x)| g * w * (x - mean) * inverse)) / n;
+        let mean_hn = lane_sum(
+            g.iter()
+                .zip(w)
+                .zip(x)
+                .map(|((&g, &w), &x)| g * w * (x - mean) * inverse),
+        ) / n;
         for i in 0..width {
             let normal = (x[i] - mean) * inverse;
             dx[i] = (g[i] * w[i] - mean_h - normal * mean_hn) * inverse;
@@ -83,7 +93,11 @@ impl CustomOp3 for LayerNorm {
     ) -> Result<(CpuStorage, Shape)> {
         let (_, width) = l1.shape().dims2()?;
         if l2.shape().elem_count() != width || l3.shape().elem_count() != width {
-            candle_core::bail!("layer norm: rows of {width}, weight {:?}, bias {:?}", l2.shape(), l3.shape());
+            candle_core::bail!(
+                "layer norm: rows of {width}, weight {:?}, bias {:?}",
+                l2.shape(),
+                l3.shape()
+            );
         }
         by_dtype!(super::dtype_of(s1), T => {
             let x = operand::<T>(s1, l1)?;

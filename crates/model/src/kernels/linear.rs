@@ -26,8 +26,17 @@ pub enum Activation {
 ///
 /// # Errors
 /// Shapes that do not fit, or a type other than f32 and f64.
-pub fn linear(x: &Tensor, weight: &Tensor, bias: &Tensor, activation: Activation) -> Result<Tensor> {
-    x.contiguous()?.apply_op3(&weight.contiguous()?, &bias.contiguous()?, Linear { activation })
+pub fn linear(
+    x: &Tensor,
+    weight: &Tensor,
+    bias: &Tensor,
+    activation: Activation,
+) -> Result<Tensor> {
+    x.contiguous()?.apply_op3(
+        &weight.contiguous()?,
+        &bias.contiguous()?,
+        Linear { activation },
+    )
 }
 
 /// `x Wᵀ`.
@@ -35,7 +44,12 @@ pub fn linear(x: &Tensor, weight: &Tensor, bias: &Tensor, activation: Activation
 /// # Errors
 /// As [`linear`].
 pub fn product(x: &Tensor, weight: &Tensor) -> Result<Tensor> {
-    x.contiguous()?.apply_op2(&weight.contiguous()?, Linear { activation: Activation::None })
+    x.contiguous()?.apply_op2(
+        &weight.contiguous()?,
+        Linear {
+            activation: Activation::None,
+        },
+    )
 }
 
 struct Linear {
@@ -88,7 +102,9 @@ fn sizes(x: &Layout, weight: &Layout) -> Result<(usize, usize, usize)> {
     let (rows, inner) = x.shape().dims2()?;
     let (out, inner_w) = weight.shape().dims2()?;
     if inner != inner_w {
-        candle_core::bail!("linear: x is [{rows}, {inner}], weight [{out}, {inner_w}]: expected equal widths");
+        candle_core::bail!(
+            "linear: x is [{rows}, {inner}], weight [{out}, {inner_w}]: expected equal widths"
+        );
     }
     Ok((rows, inner, out))
 }
@@ -100,25 +116,42 @@ fn forward<T: Real>(
     (rows, inner, out): (usize, usize, usize),
     activation: Activation,
 ) -> Vec<T> {
-    let mut y = vec![T::zero(); rows * out];
+    // Rows start as the bias, which the product is added to.
+    let mut y = match bias {
+        Some(bias) => bias.repeat(rows),
+        None => vec![T::zero(); rows * out],
+    };
     let block = |(x, y): (&[T], &mut [T])| {
-        if let Some(bias) = bias {
-            for row in y.chunks_exact_mut(out) {
-                row.copy_from_slice(bias);
-            }
-        }
-        multiply(y.len() / out, out, inner, y, bias.is_some(), (x, 1, inner), (weight, inner, 1));
+        multiply(
+            y.len() / out,
+            out,
+            inner,
+            y,
+            bias.is_some(),
+            (x, 1, inner),
+            (weight, inner, 1),
+        );
         if activation == Activation::Relu {
             for value in y {
-                *value = if *value > T::zero() || value.is_nan() { *value } else { T::zero() };
+                // A NaN passes.
+                *value = if *value < T::zero() {
+                    T::zero()
+                } else {
+                    *value
+                };
             }
         }
     };
-    let blocks = (x.chunks(BLOCK_ROWS * inner.max(1)), y.chunks_mut(BLOCK_ROWS * out.max(1)));
+    let blocks = (
+        x.chunks(BLOCK_ROWS * inner.max(1)),
+        y.chunks_mut(BLOCK_ROWS * out.max(1)),
+    );
     if rows <= BLOCK_ROWS || rayon::current_thread_index().is_some() {
         blocks.0.zip(blocks.1).for_each(block);
     } else {
-        x.par_chunks(BLOCK_ROWS * inner).zip(y.par_chunks_mut(BLOCK_ROWS * out)).for_each(block);
+        x.par_chunks(BLOCK_ROWS * inner)
+            .zip(y.par_chunks_mut(BLOCK_ROWS * out))
+            .for_each(block);
     }
     y
 }
@@ -134,23 +167,32 @@ fn backward<T: Real>(
     with_bias: bool,
 ) -> Result<Gradients> {
     let ((rows, inner), out) = (x.dims2()?, weight.dim(0)?);
-    let mut g = values::<T>(grad)?;
-    if activation == Activation::Relu {
-        let (storage, layout) = res.storage_and_layout();
-        let candle_core::Storage::Cpu(storage) = &*storage else {
-            candle_core::bail!("linear: this kernel runs on the CPU")
-        };
-        for (g, y) in g.iter_mut().zip(operand::<T>(storage, layout)?) {
-            if *y <= T::zero() {
-                *g = T::zero();
-            }
-        }
-    }
+    let grad = values::<T>(grad)?;
+    let masked: Vec<T>;
+    let g: &[T] = if activation == Activation::Relu {
+        let y = values::<T>(res)?;
+        masked = grad
+            .iter()
+            .zip(y.iter())
+            .map(|(&g, &y)| if y > T::zero() { g } else { T::zero() })
+            .collect();
+        &masked
+    } else {
+        &grad
+    };
     let device = x.device();
     let dx = if x.track_op() {
         let w = values::<T>(weight)?;
         let mut dx = vec![T::zero(); rows * inner];
-        multiply(rows, inner, out, &mut dx, false, (&g, 1, out), (&w, 1, inner));
+        multiply(
+            rows,
+            inner,
+            out,
+            &mut dx,
+            false,
+            (g, 1, out),
+            (&w, 1, inner),
+        );
         Some(Tensor::from_vec(dx, (rows, inner), device)?)
     } else {
         None
@@ -158,7 +200,15 @@ fn backward<T: Real>(
     let dw = if weight.track_op() {
         let x = values::<T>(x)?;
         let mut dw = vec![T::zero(); out * inner];
-        multiply(out, inner, rows, &mut dw, false, (&g, out, 1), (&x, 1, inner));
+        multiply(
+            out,
+            inner,
+            rows,
+            &mut dw,
+            false,
+            (g, out, 1),
+            (&x, 1, inner),
+        );
         Some(Tensor::from_vec(dw, (out, inner), device)?)
     } else {
         None
@@ -193,7 +243,10 @@ impl CustomOp3 for Linear {
     ) -> Result<(CpuStorage, Shape)> {
         let (rows, inner, out) = sizes(l1, l2)?;
         if l3.shape().elem_count() != out {
-            candle_core::bail!("linear: bias has {} entries, expected {out}", l3.shape().elem_count());
+            candle_core::bail!(
+                "linear: bias has {} entries, expected {out}",
+                l3.shape().elem_count()
+            );
         }
         by_dtype!(super::dtype_of(s1), T => {
             let (x, w, b) = (operand::<T>(s1, l1)?, operand::<T>(s2, l2)?, operand::<T>(s3, l3)?);
@@ -202,7 +255,14 @@ impl CustomOp3 for Linear {
         })
     }
 
-    fn bwd(&self, x: &Tensor, weight: &Tensor, _bias: &Tensor, res: &Tensor, grad: &Tensor) -> Result<Gradients> {
+    fn bwd(
+        &self,
+        x: &Tensor,
+        weight: &Tensor,
+        _bias: &Tensor,
+        res: &Tensor,
+        grad: &Tensor,
+    ) -> Result<Gradients> {
         by_dtype!(x.dtype(), T => backward::<T>(self.activation, x, weight, res, grad, true))
     }
 }
@@ -212,7 +272,13 @@ impl CustomOp2 for Linear {
         "product"
     }
 
-    fn cpu_fwd(&self, s1: &CpuStorage, l1: &Layout, s2: &CpuStorage, l2: &Layout) -> Result<(CpuStorage, Shape)> {
+    fn cpu_fwd(
+        &self,
+        s1: &CpuStorage,
+        l1: &Layout,
+        s2: &CpuStorage,
+        l2: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
         let (rows, inner, out) = sizes(l1, l2)?;
         by_dtype!(super::dtype_of(s1), T => {
             let y = forward::<T>(operand(s1, l1)?, operand(s2, l2)?, None, (rows, inner, out), self.activation);

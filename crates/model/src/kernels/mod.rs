@@ -15,7 +15,9 @@ pub mod segment_mean;
 use candle_core::{CpuStorage, Layout, Result, Tensor, WithDType};
 
 /// Scalars the kernels run in.
-pub trait Real: WithDType + num_traits::Float + Send + Sync + std::ops::AddAssign + 'static {
+pub trait Real:
+    WithDType + num_traits::Float + Send + Sync + std::ops::AddAssign + 'static
+{
     /// Converts a constant.
     fn of(value: f64) -> Self;
 }
@@ -37,7 +39,10 @@ pub(crate) fn operand<'a, T: Real>(storage: &'a CpuStorage, layout: &Layout) -> 
     let values = storage.as_slice::<T>()?;
     match layout.contiguous_offsets() {
         Some((start, end)) => Ok(&values[start..end]),
-        None => candle_core::bail!("kernel operand of shape {:?} is not contiguous", layout.shape()),
+        None => candle_core::bail!(
+            "kernel operand of shape {:?} is not contiguous",
+            layout.shape()
+        ),
     }
 }
 
@@ -46,9 +51,48 @@ pub(crate) fn dtype_of(storage: &CpuStorage) -> candle_core::DType {
     candle_core::backend::BackendStorage::dtype(storage)
 }
 
-/// Copies a tensor's values; the tensor need not be contiguous.
-pub(crate) fn values<T: Real>(tensor: &Tensor) -> Result<Vec<T>> {
-    tensor.flatten_all()?.to_vec1::<T>()
+/// A tensor's values in row-major order, borrowed where they are contiguous.
+pub(crate) enum Values<'a, T> {
+    /// Borrowed from the tensor's storage.
+    Borrowed(
+        Box<dyn std::ops::Deref<Target = candle_core::Storage> + 'a>,
+        std::ops::Range<usize>,
+        std::marker::PhantomData<T>,
+    ),
+    /// Copied into order.
+    Owned(Vec<T>),
+}
+
+impl<T: Real> std::ops::Deref for Values<'_, T> {
+    type Target = [T];
+
+    fn deref(&self) -> &[T] {
+        match self {
+            Self::Owned(values) => values,
+            Self::Borrowed(storage, range, _) => match &***storage {
+                candle_core::Storage::Cpu(storage) => &storage
+                    .as_slice::<T>()
+                    .expect("type was checked when borrowing")[range.clone()],
+                _ => unreachable!("device was checked when borrowing"),
+            },
+        }
+    }
+}
+
+/// The values of a tensor on the CPU.
+pub(crate) fn values<T: Real>(tensor: &Tensor) -> Result<Values<'_, T>> {
+    if let Some((start, end)) = tensor.layout().contiguous_offsets()
+        && tensor.device().is_cpu()
+        && tensor.dtype() == T::DTYPE
+    {
+        let (storage, _) = tensor.storage_and_layout();
+        return Ok(Values::Borrowed(
+            Box::new(storage),
+            start..end,
+            std::marker::PhantomData,
+        ));
+    }
+    Ok(Values::Owned(tensor.flatten_all()?.to_vec1::<T>()?))
 }
 
 /// Runs `$body` for the element type of `$dtype`, named `$T` inside.

@@ -40,7 +40,9 @@ impl CustomOp1 for MapRows {
     fn cpu_fwd(&self, storage: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
         let (rows, width) = layout.shape().dims2()?;
         if width != 3 || self.maps.iter().any(|map| map.index as usize >= rows) {
-            candle_core::bail!("map-rows: input [{rows}, {width}], expected width 3 and every index below {rows}");
+            candle_core::bail!(
+                "map-rows: input [{rows}, {width}], expected width 3 and every index below {rows}"
+            );
         }
         by_dtype!(super::dtype_of(storage), T => {
             let x = operand::<T>(storage, layout)?;

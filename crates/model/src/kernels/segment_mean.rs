@@ -23,7 +23,9 @@ struct SegmentMean {
 
 impl SegmentMean {
     fn segments(&self) -> impl Iterator<Item = std::ops::Range<usize>> + '_ {
-        self.offsets.windows(2).map(|two| two[0] as usize..two[1] as usize)
+        self.offsets
+            .windows(2)
+            .map(|two| two[0] as usize..two[1] as usize)
     }
 }
 
@@ -35,7 +37,10 @@ impl CustomOp1 for SegmentMean {
     fn cpu_fwd(&self, storage: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
         let (rows, width) = layout.shape().dims2()?;
         if self.offsets.last().map(|&last| last as usize) != Some(rows) {
-            candle_core::bail!("segment-mean: {rows} rows, offsets end at {:?}", self.offsets.last());
+            candle_core::bail!(
+                "segment-mean: {rows} rows, offsets end at {:?}",
+                self.offsets.last()
+            );
         }
         by_dtype!(super::dtype_of(storage), T => {
             let x = operand::<T>(storage, layout)?;

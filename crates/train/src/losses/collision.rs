@@ -49,7 +49,12 @@ pub enum CollisionMean {
 
 impl Default for CollisionConfig {
     fn default() -> Self {
-        Self { threshold: 1e-3, reach: Some(1.0), skip_borders: true, mean: CollisionMean::Vertices }
+        Self {
+            threshold: 1e-3,
+            reach: Some(1.0),
+            skip_borders: true,
+            mean: CollisionMean::Vertices,
+        }
     }
 }
 
@@ -71,7 +76,10 @@ fn hits(
     normals: &[Vector],
     on_border: &[bool],
 ) -> Vec<Hit> {
-    let grid = Grid::build(&obstacle.iter().map(|&x| narrow(x)).collect::<Vec<_>>(), SEARCH_CELL);
+    let grid = Grid::build(
+        &obstacle.iter().map(|&x| narrow(x)).collect::<Vec<_>>(),
+        SEARCH_CELL,
+    );
     let mut near = Vec::new();
     tested
         .filter_map(|(vertex, x)| {
@@ -144,10 +152,20 @@ pub fn layer_collision(
 ) -> Term {
     let inner = outfit.garment_offsets[outfit.garments() - 1];
     let tested = predicted.iter().copied().enumerate().skip(inner);
-    let inner_faces: Vec<[u32; 3]> =
-        outfit.faces.iter().copied().filter(|face| (face[0] as usize) < inner).collect();
+    let inner_faces: Vec<[u32; 3]> = outfit
+        .faces
+        .iter()
+        .copied()
+        .filter(|face| (face[0] as usize) < inner)
+        .collect();
     let on_border = border(inner, &inner_faces);
-    let hits = hits(config, tested, &predicted[..inner], &normals.normals[..inner], &on_border);
+    let hits = hits(
+        config,
+        tested,
+        &predicted[..inner],
+        &normals.normals[..inner],
+        &on_border,
+    );
     let divisor = divisor(config, hits.len(), predicted.len() - inner);
     let mut term = Term::zero(predicted.len());
     let mut by_normal = vec![[0.0; 3]; predicted.len()];
@@ -158,7 +176,8 @@ pub fn layer_collision(
             let n = normals.normals[hit.nearest][axis];
             term.gradient[hit.vertex][axis] += ds * n;
             term.gradient[hit.nearest][axis] -= ds * n;
-            by_normal[hit.nearest][axis] += ds * (predicted[hit.vertex][axis] - predicted[hit.nearest][axis]);
+            by_normal[hit.nearest][axis] +=
+                ds * (predicted[hit.vertex][axis] - predicted[hit.nearest][axis]);
         }
     }
     normals.backward(&by_normal, &mut term.gradient);

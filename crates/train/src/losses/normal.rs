@@ -14,7 +14,11 @@ fn sub(a: Vector, b: Vector) -> Vector {
 }
 
 fn cross(a: Vector, b: Vector) -> Vector {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
 }
 
 pub(super) fn dot(a: Vector, b: Vector) -> f64 {
@@ -66,13 +70,23 @@ impl<'a> MeshNormals<'a> {
             })
             .collect();
         let normals = sums.iter().map(|&sum| normalised(sum)).collect();
-        Self { positions, faces, crosses, sums, normals }
+        Self {
+            positions,
+            faces,
+            crosses,
+            sums,
+            normals,
+        }
     }
 
     /// Adds the gradient by position that belongs to `by_normal`, the gradient by vertex normal.
     pub fn backward(&self, by_normal: &[Vector], gradient: &mut [Vector]) {
-        let by_sum: Vec<Vector> =
-            self.sums.iter().zip(by_normal).map(|(&sum, &g)| through_normalisation(sum, g)).collect();
+        let by_sum: Vec<Vector> = self
+            .sums
+            .iter()
+            .zip(by_normal)
+            .map(|(&sum, &g)| through_normalisation(sum, g))
+            .collect();
         for (face, &m) in self.faces.iter().zip(&self.crosses) {
             let mut by_face = [0.0; 3];
             for &vertex in face {

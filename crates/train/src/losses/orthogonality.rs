@@ -26,11 +26,21 @@ pub struct Orthogonality {
 pub fn orthogonality(config: &ModelConfig, parameters: &Parameters) -> Result<Orthogonality> {
     let mut names = vec![rotation_name()];
     for block in 0..config.blocks {
-        names.extend((0..drape_model::kernels::attention::GROUPS).map(|group| group_rotation_name(block, group)));
+        names.extend(
+            (0..drape_model::kernels::attention::GROUPS)
+                .map(|group| group_rotation_name(block, group)),
+        );
     }
-    let mut all = Orthogonality { value: 0.0, constant: 0.0, gradients: Vec::new() };
+    let mut all = Orthogonality {
+        value: 0.0,
+        constant: 0.0,
+        gradients: Vec::new(),
+    };
     for name in names {
-        let weight = parameters.get(&name)?.as_tensor().to_dtype(candle_core::DType::F64)?;
+        let weight = parameters
+            .get(&name)?
+            .as_tensor()
+            .to_dtype(candle_core::DType::F64)?;
         let w: Vec<f64> = weight.flatten_all()?.to_vec1()?;
         let mut excess = [[0f64; 3]; 3];
         for row in w.chunks_exact(3) {
@@ -43,10 +53,16 @@ pub fn orthogonality(config: &ModelConfig, parameters: &Parameters) -> Result<Or
         for (axis, row) in excess.iter_mut().enumerate() {
             row[axis] -= 1.0;
         }
-        all.value += 2.0 * excess.iter().flatten().map(|value| value * value).sum::<f64>();
+        all.value += 2.0
+            * excess
+                .iter()
+                .flatten()
+                .map(|value| value * value)
+                .sum::<f64>();
         all.constant += (w.len() / 3) as f64 - 3.0;
-        let gradient =
-            w.chunks_exact(3).flat_map(|row| [0, 1, 2].map(|j| 8.0 * (0..3).map(|i| row[i] * excess[i][j]).sum::<f64>()));
+        let gradient = w.chunks_exact(3).flat_map(|row| {
+            [0, 1, 2].map(|j| 8.0 * (0..3).map(|i| row[i] * excess[i][j]).sum::<f64>())
+        });
         all.gradients.push((name, gradient.collect()));
     }
     Ok(all)
