@@ -1,0 +1,88 @@
+//! Where each vertex can be until the next search: its *tube*.
+//!
+//! A tube is a straight line, position plus velocity, with a radius that grows
+//! by `radius` in every substep: 1.5 times what the vertex recently deviated
+//! from its line, between 0.15 and 2 mm. The body moves linearly within a
+//! frame, its tubes have radius 0. A vertex that leaves its tube calls for a
+//! new search.
+
+use glam::DVec3;
+
+use crate::engine::state::State;
+
+/// Narrowest growth of a tube, m per substep.
+const NARROWEST_M: f64 = 0.15e-3;
+/// Widest growth of a tube, m per substep.
+const WIDEST_M: f64 = 2e-3;
+
+/// Tubes of all vertices.
+#[derive(Clone, Debug)]
+pub(crate) struct Tubes {
+    /// Positions at the last search.
+    start: Vec<DVec3>,
+    /// Displacement per substep along the line.
+    pub step: Vec<DVec3>,
+    /// Growth of the radius per substep, m.
+    pub radius: Vec<f64>,
+    /// Recent deviation per substep, m.
+    deviation: Vec<f64>,
+    /// Substeps since the last search; `None` before the first.
+    age: Option<u32>,
+}
+
+impl Tubes {
+    pub fn new(state: &State) -> Self {
+        let count = state.x.len();
+        Self {
+            start: vec![DVec3::ZERO; count],
+            step: vec![DVec3::ZERO; count],
+            radius: vec![0.0; count],
+            deviation: vec![0.3e-3; state.cloth],
+            age: None,
+        }
+    }
+
+    /// Whether a search is due: too old, or a vertex is out of its tube.
+    pub fn expired(&self, every: u32) -> bool {
+        self.age.is_none_or(|age| age >= every)
+    }
+
+    /// Forces a search before the next substep.
+    pub fn expire(&mut self) {
+        self.age = None;
+    }
+
+    /// Lays new tubes along the present velocities.
+    pub fn lay(&mut self, state: &State, h: f64) {
+        self.start.copy_from_slice(&state.x);
+        for i in 0..state.x.len() {
+            self.step[i] = state.v[i] * h;
+        }
+        for i in 0..state.cloth {
+            self.radius[i] = if state.w[i] > 0.0 {
+                (1.5 * self.deviation[i]).clamp(NARROWEST_M, WIDEST_M)
+            } else {
+                NARROWEST_M
+            };
+            self.deviation[i] *= 0.7;
+        }
+        self.age = Some(0);
+    }
+
+    /// Notes where the substep led.
+    pub fn observe(&mut self, state: &State) {
+        let Some(age) = &mut self.age else { return };
+        *age += 1;
+        let count = f64::from(*age);
+        let mut left = false;
+        for i in 0..state.cloth {
+            let line = self.start[i] + count * self.step[i];
+            let deviation = state.x[i].distance(line) / count;
+            self.deviation[i] = self.deviation[i].max(deviation);
+            left |= deviation > self.radius[i];
+        }
+        if left {
+            self.age = None;
+        }
+    }
+}

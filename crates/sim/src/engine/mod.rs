@@ -1,0 +1,504 @@
+//! The cloth engine: garments on a moving body, in small steps.
+//!
+//! Extended position-based dynamics with many small steps (Macklin et al.,
+//! "XPBD", 2016; "Small Steps in Physics Simulation", 2019). Inside, lengths
+//! are metres, times seconds, masses kilograms, all in f64; scene units and
+//! f32 are met at the border only.
+//!
+//! A substep: gravity, drag and wind change velocities; positions are
+//! predicted; waist bands follow the body; stretch, shear, bending and contacts
+//! are solved in turn, contacts last; velocities are what the substep moved.
+//!
+//! Every effect has one owner module, and an effect that the scene does not
+//! call for is never computed ([`Engine::passes`] counts):
+//!
+//! | module | effect |
+//! |---|---|
+//! | [`gravity`], [`drag`], [`wind`] | gravity, air drag, wind |
+//! | [`stretch`], [`shear`], [`bending`] | elasticity |
+//! | [`body_contact`], [`layer_contact`], [`self_contact`], [`friction`] | contacts, on the machinery of [`contact`] |
+//! | [`waistband`] | waist bands |
+//!
+//! Limitation: contacts make intersections rare, they do not exclude them;
+//! whoever keeps frames counts them.
+
+mod air;
+mod bending;
+mod body_contact;
+mod contact;
+mod drag;
+mod fabric;
+mod friction;
+mod gravity;
+mod layer_contact;
+mod material;
+mod passes;
+mod self_contact;
+mod settings;
+mod shear;
+mod state;
+mod stretch;
+#[cfg(test)]
+mod tests;
+mod waistband;
+mod wind;
+
+use drape_dataset::registry::Effect;
+use drape_dataset::sequence::{Garment, Wind};
+use glam::DVec3;
+
+use bending::Bending;
+use body_contact::BodyContact;
+use contact::pair::Features;
+use contact::search::{Surfaces, candidate};
+use contact::solve::PushOut;
+use contact::tubes::Tubes;
+use fabric::Fabric;
+use layer_contact::LayerContact;
+use passes::Passes;
+use self_contact::SelfContact;
+use shear::Shear;
+use state::{State, metres};
+use stretch::Stretch;
+use waistband::Waistband;
+
+use crate::error::SimError;
+
+pub use material::Cloth;
+pub use settings::{EngineSettings, ScenePhysics};
+pub use wind::{PASCAL_PER_STRENGTH, air_velocity};
+
+/// What one frame took.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StepReport {
+    /// Searches for contact pairs.
+    pub searches: u32,
+    /// Pairs after the last search.
+    pub pairs: usize,
+    /// Contacts in the last substep.
+    pub contacts: usize,
+    /// Cloth vertices inside the body at the last search.
+    pub inside_body: usize,
+    /// Greatest speed of a cloth vertex at the end, m/s.
+    pub top_speed_m_s: f64,
+}
+
+/// An outfit on a body, ready to be moved.
+#[derive(Clone, Debug)]
+pub struct Engine {
+    settings: EngineSettings,
+    scale: f64,
+    gravity: Option<DVec3>,
+    drag: bool,
+    wind: bool,
+    friction: bool,
+    fabric: Fabric,
+    names: Vec<String>,
+    state: State,
+    stretch: Option<Stretch>,
+    shear: Option<Shear>,
+    bending: Option<Bending>,
+    waistband: Option<Waistband>,
+    contacts: Option<Contacts>,
+    passes: Passes,
+    /// Substeps since the start.
+    clock: u32,
+}
+
+/// Everything about contacts; absent when no effect asks for them.
+#[derive(Clone, Debug)]
+struct Contacts {
+    surfaces: Surfaces,
+    tubes: Tubes,
+    body: Option<BodyContact>,
+    layer: Option<LayerContact>,
+    own: Option<SelfContact>,
+}
+
+impl Engine {
+    /// Puts garments, at rest, on a body.
+    ///
+    /// `waistbands` lists for each garment the vertices that follow the body
+    /// (an empty list, or no lists at all, for none). Positions are in scene units.
+    ///
+    /// # Errors
+    /// [`SimError`] for meshes, materials or settings that cannot be simulated.
+    pub fn new(
+        garments: &[Garment],
+        waistbands: &[Vec<u32>],
+        body_faces: &[[u32; 3]],
+        body0: &[[f32; 3]],
+        physics: &ScenePhysics,
+        settings: &EngineSettings,
+    ) -> Result<Self, SimError> {
+        settings.validate()?;
+        physics.validate()?;
+        let scale = f64::from(physics.scale);
+        let fabric = Fabric::new(garments, scale)?;
+        fabric::check_mesh("body", body0, body_faces)?;
+        let has = |effect| physics.calls_for(effect);
+
+        let cloth = fabric.rest.len();
+        let mut x = fabric.rest.clone();
+        x.extend(body0.iter().map(|&p| metres(p, scale)));
+        let mut w = fabric.inverse_mass.clone();
+        w.resize(x.len(), 0.0);
+        let mut state = State {
+            p: x.clone(),
+            v: vec![DVec3::ZERO; x.len()],
+            x,
+            w,
+            cloth,
+        };
+        let body_faces: Vec<[u32; 3]> = body_faces
+            .iter()
+            .map(|face| face.map(|v| v + cloth as u32))
+            .collect();
+
+        let bound = bound_vertices(&fabric, waistbands)?;
+        let waistband = if has(Effect::Waistband) && !bound.is_empty() {
+            Some(Waistband::bind(&mut state, &bound, &body_faces)?)
+        } else {
+            None
+        };
+        let body = (has(Effect::BodyContact) && !body_faces.is_empty()).then(|| {
+            let friction = material::friction(physics.body_friction);
+            BodyContact::new(settings.body_thickness_m, friction, &state)
+        });
+        let layer = (has(Effect::LayerContact) && garments.len() > 1)
+            .then(|| LayerContact::new(settings.layer_thickness_m));
+        let own = (has(Effect::SelfContact) && !garments.is_empty())
+            .then(|| SelfContact::new(settings.self_thickness_m));
+        let contacts = (body.is_some() || layer.is_some() || own.is_some()).then(|| Contacts {
+            surfaces: Surfaces::new(&fabric, body_faces, &state),
+            tubes: Tubes::new(&state),
+            body,
+            layer,
+            own,
+        });
+        Ok(Self {
+            settings: settings.clone(),
+            scale,
+            gravity: has(Effect::Gravity).then(|| metres(physics.gravity, scale)),
+            drag: has(Effect::AirDrag),
+            wind: has(Effect::Wind),
+            friction: has(Effect::Friction),
+            names: garments.iter().map(|g| g.name.clone()).collect(),
+            stretch: has(Effect::Stretch)
+                .then(|| Stretch::new(&fabric, settings.stretch_damping_s)),
+            shear: has(Effect::Shear)
+                .then(|| Shear::new(garments, &fabric, settings.stretch_damping_s)),
+            bending: has(Effect::Bending)
+                .then(|| Bending::new(&fabric, settings.bending_damping_s)),
+            fabric,
+            state,
+            waistband,
+            contacts,
+            passes: Passes::default(),
+            clock: 0,
+        })
+    }
+
+    /// Moves the body linearly to `body_next` within `dt_s` seconds, and the cloth with it.
+    ///
+    /// # Errors
+    /// [`SimError`] for a body or wind that is not usable (nothing has moved
+    /// then), or when the cloth left the range of numbers.
+    pub fn advance(
+        &mut self,
+        body_next: &[[f32; 3]],
+        wind: Wind,
+        dt_s: f64,
+    ) -> Result<StepReport, SimError> {
+        let cloth = self.state.cloth;
+        let body_count = self.state.x.len() - cloth;
+        if body_next.len() != body_count {
+            let expected = format!("{body_count} as at the start");
+            return Err(SimError::value(
+                "vertices of the body in this frame",
+                expected,
+                body_next.len(),
+            ));
+        }
+        fabric::check_finite("body", body_next)?;
+        if !(dt_s.is_finite() && dt_s > 0.0) {
+            return Err(SimError::value(
+                "frame time",
+                "a positive number of seconds",
+                dt_s,
+            ));
+        }
+        let air = air_velocity(wind)?;
+
+        let substeps = self.settings.substeps;
+        let h = dt_s / f64::from(substeps);
+        let from: Vec<DVec3> = self.state.x[cloth..].to_vec();
+        let to: Vec<DVec3> = body_next.iter().map(|&p| metres(p, self.scale)).collect();
+        let mut body_velocity = DVec3::ZERO;
+        for (i, (from, to)) in from.iter().zip(&to).enumerate() {
+            self.state.v[cloth + i] = (*to - *from) / dt_s;
+            body_velocity += self.state.v[cloth + i] / body_count as f64;
+        }
+        // The body changes its velocity between frames: old tubes do not hold.
+        if let Some(contacts) = &mut self.contacts {
+            contacts.tubes.expire();
+        }
+        let mut report = StepReport::default();
+        for substep in 1..=substeps {
+            let t = f64::from(substep) / f64::from(substeps);
+            for (i, (from, to)) in from.iter().zip(&to).enumerate() {
+                self.state.p[cloth + i] = if substep == substeps {
+                    *to
+                } else {
+                    from.lerp(*to, t)
+                };
+            }
+            self.substep(h, air, body_velocity, &mut report);
+        }
+        self.check_range()?;
+        report.top_speed_m_s = self.state.v[..cloth]
+            .iter()
+            .map(|v| v.length())
+            .fold(0.0, f64::max);
+        Ok(report)
+    }
+
+    /// Positions of each garment in scene units.
+    pub fn garments(&self) -> Vec<Vec<[f32; 3]>> {
+        let out = |x: &DVec3| (*x * self.scale).to_array().map(|c| c as f32);
+        let of = |piece: &fabric::Piece| {
+            self.state.x[piece.vertices.clone()]
+                .iter()
+                .map(out)
+                .collect()
+        };
+        self.fabric.garments.iter().map(of).collect()
+    }
+
+    /// How many times an effect was computed since the engine was made.
+    pub fn passes(&self, effect: Effect) -> u64 {
+        self.passes.of(effect)
+    }
+
+    /// One substep; the body's positions at its end are in `state.p` already.
+    fn substep(&mut self, h: f64, air: DVec3, body_velocity: DVec3, report: &mut StepReport) {
+        let Self {
+            state,
+            fabric,
+            passes,
+            settings,
+            ..
+        } = self;
+        if let Some(gravity) = self.gravity {
+            passes.count(Effect::Gravity);
+            gravity::apply(state, gravity, h);
+        }
+        if self.drag {
+            passes.count(Effect::AirDrag);
+            drag::apply(state, fabric, h);
+        }
+        if self.wind {
+            passes.count(Effect::Wind);
+            wind::apply(state, fabric, air, h);
+        }
+        state.limit_speeds(body_velocity, settings.speed_limit_m_s);
+        state.predict(h);
+        if let Some(waistband) = &self.waistband {
+            passes.count(Effect::Waistband);
+            waistband.follow(state, h);
+        }
+        if let Some(contacts) = &mut self.contacts {
+            let push = PushOut {
+                close: settings.push_out_m_s * h,
+                through: settings.recovery_m_s * h,
+            };
+            if contacts.tubes.expired(settings.search_every) {
+                contacts.search(fabric, state, settings.search_every, self.clock, h);
+                report.searches += 1;
+            }
+            contacts.look(state, self.clock, push, passes);
+            report.pairs = contacts.lists().map(|list| list.pairs.len()).sum();
+            report.contacts = contacts.lists().map(|list| list.contacts.len()).sum();
+            report.inside_body = contacts.body.as_ref().map_or(0, BodyContact::inside);
+        }
+        if let Some(stretch) = &mut self.stretch {
+            stretch.reset();
+        }
+        if let Some(shear) = &mut self.shear {
+            shear.reset();
+        }
+        if let Some(bending) = &mut self.bending {
+            bending.reset();
+        }
+        for _ in 0..settings.iterations {
+            if let Some(bending) = &mut self.bending {
+                passes.count(Effect::Bending);
+                bending.solve(state, h);
+            }
+            if let Some(shear) = &mut self.shear {
+                passes.count(Effect::Shear);
+                shear.solve(state, h);
+            }
+            if let Some(stretch) = &mut self.stretch {
+                passes.count(Effect::Stretch);
+                stretch.solve(state, h);
+            }
+        }
+        if let Some(contacts) = &mut self.contacts {
+            for _ in 0..settings.contact_iterations {
+                if self.friction {
+                    passes.count(Effect::Friction);
+                }
+                for list in contacts.lists_mut() {
+                    list.solve(state, self.friction);
+                }
+            }
+        }
+        state.finish(h);
+        if let Some(contacts) = &mut self.contacts {
+            for list in contacts.lists_mut() {
+                list.forget_push(state, h);
+            }
+            contacts.tubes.observe(state);
+        }
+        self.clock += 1;
+    }
+
+    fn check_range(&self) -> Result<(), SimError> {
+        for (piece, name) in self.fabric.garments.iter().zip(&self.names) {
+            for v in piece.vertices.clone() {
+                let x = self.state.x[v] * self.scale;
+                if !(x.is_finite() && x.abs().max_element() < f64::from(f32::MAX)) {
+                    return Err(SimError::NotFinite {
+                        surface: format!(
+                            "{name} after the step (more substeps or a softer material help)"
+                        ),
+                        vertex: v - piece.vertices.start,
+                        found: x.to_array().map(|c| c as f32),
+                    });
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Contacts {
+    fn search(&mut self, fabric: &Fabric, state: &State, substeps: u32, now: u32, h: f64) {
+        let until = f64::from(substeps);
+        self.tubes.lay(state, h);
+        self.surfaces.refit(fabric, state, &self.tubes, until);
+        let (surfaces, tubes) = (&self.surfaces, &self.tubes);
+        if let Some(body) = &mut self.body {
+            body.search(surfaces, fabric, state, tubes, (now, until));
+        }
+        if let Some(layer) = &mut self.layer {
+            layer.list.pairs.clear();
+        }
+        if let Some(own) = &mut self.own {
+            own.list.pairs.clear();
+        }
+        let layer_thickness = self.layer.as_ref().map(|layer| layer.thickness);
+        let own_thickness = self.own.as_ref().map(|own| own.thickness);
+        let Some(reach) = layer_thickness
+            .into_iter()
+            .chain(own_thickness)
+            .reduce(f64::max)
+        else {
+            return;
+        };
+        let (layer, own) = (&mut self.layer, &mut self.own);
+        let mut judge = |vertices: [u32; 4], features| {
+            let same =
+                fabric.garment_of[vertices[0] as usize] == fabric.garment_of[vertices[2] as usize];
+            let Some(thickness) = (if same { own_thickness } else { layer_thickness }) else {
+                return;
+            };
+            let Some(found) = candidate(vertices, features, thickness, state, tubes, until) else {
+                return;
+            };
+            match (same, &mut *own, &mut *layer) {
+                (true, Some(own), _) => own.add(&found, fabric, until, now),
+                (false, _, Some(layer)) => layer.add(&found, surfaces, fabric, state, now),
+                _ => {}
+            }
+        };
+        for v in 0..state.cloth as u32 {
+            surfaces.cloth_faces_near(fabric, v, reach, &mut |vertices| {
+                judge(vertices, Features::VertexFace);
+            });
+        }
+        for e in 0..fabric.edges.len() {
+            surfaces.cloth_edges_near(fabric, e, reach, &mut |vertices| {
+                judge(vertices, Features::EdgeEdge);
+            });
+        }
+    }
+
+    fn look(&mut self, state: &State, now: u32, push: PushOut, passes: &mut Passes) {
+        let effects = [
+            (
+                Effect::SelfContact,
+                self.own.as_mut().map(|own| &mut own.list),
+            ),
+            (
+                Effect::LayerContact,
+                self.layer.as_mut().map(|layer| &mut layer.list),
+            ),
+            (
+                Effect::BodyContact,
+                self.body.as_mut().map(|body| &mut body.list),
+            ),
+        ];
+        for (effect, list) in effects {
+            if let Some(list) = list {
+                passes.count(effect);
+                list.look(state, now, push);
+            }
+        }
+    }
+
+    fn lists(&self) -> impl Iterator<Item = &contact::PairList> {
+        let own = self.own.as_ref().map(|own| &own.list);
+        let layer = self.layer.as_ref().map(|layer| &layer.list);
+        let body = self.body.as_ref().map(|body| &body.list);
+        own.into_iter().chain(layer).chain(body)
+    }
+
+    /// The body comes last: it cannot give way, so it has the last word.
+    fn lists_mut(&mut self) -> impl Iterator<Item = &mut contact::PairList> {
+        let own = self.own.as_mut().map(|own| &mut own.list);
+        let layer = self.layer.as_mut().map(|layer| &mut layer.list);
+        let body = self.body.as_mut().map(|body| &mut body.list);
+        own.into_iter().chain(layer).chain(body)
+    }
+}
+
+/// Waist band vertices of all garments in the engine's numbering.
+fn bound_vertices(fabric: &Fabric, waistbands: &[Vec<u32>]) -> Result<Vec<u32>, SimError> {
+    if !waistbands.is_empty() && waistbands.len() != fabric.garments.len() {
+        let expected = format!("{}, one for each garment", fabric.garments.len());
+        return Err(SimError::value(
+            "number of waist bands",
+            expected,
+            waistbands.len(),
+        ));
+    }
+    let mut bound = Vec::new();
+    for (number, (band, piece)) in waistbands.iter().zip(&fabric.garments).enumerate() {
+        for &vertex in band {
+            if vertex as usize >= piece.vertices.len() {
+                let expected = format!("vertex numbers below {}", piece.vertices.len());
+                return Err(SimError::value(
+                    format!("waist band of garment {number}"),
+                    expected,
+                    vertex,
+                ));
+            }
+            bound.push(piece.vertices.start as u32 + vertex);
+        }
+    }
+    bound.sort_unstable();
+    bound.dedup();
+    Ok(bound)
+}

@@ -1,0 +1,134 @@
+//! Shear: warp and weft of every face resist leaving their right angle.
+//!
+//! The threads of a face run along the UV axes of its panel. With deformed
+//! thread directions f_u, f_v (unit length at rest), the shear is C = f_u·f_v,
+//! the energy ½ G A C². This adds to the shear stiffness that a lattice of
+//! springs has by itself (3/8 of its membrane stiffness).
+
+use drape_dataset::sequence::Garment;
+use glam::{DVec2, DVec3};
+
+use super::fabric::Fabric;
+use super::state::State;
+
+/// One face: f_u = Σ u[k] x_k, f_v = Σ v[k] x_k.
+#[derive(Clone, Copy, Debug)]
+struct Weave {
+    corners: [u32; 3],
+    u: [f64; 3],
+    v: [f64; 3],
+    rest: f64,
+    stiffness: f64,
+    lambda: f64,
+}
+
+/// All faces of an outfit that have area.
+#[derive(Clone, Debug)]
+pub(super) struct Shear {
+    weaves: Vec<Weave>,
+    damping_s: f64,
+}
+
+impl Shear {
+    pub fn new(garments: &[Garment], fabric: &Fabric, damping_s: f64) -> Self {
+        let mut weaves = Vec::new();
+        for (garment, piece) in garments.iter().zip(&fabric.garments) {
+            for (local, number) in piece.faces.clone().enumerate() {
+                let corners = fabric.faces[number];
+                let [a, b, c] = corners.map(|v| fabric.rest[v as usize]);
+                let area = fabric.area[number];
+                let (e1, e2) = (b - a, c - a);
+                let longest2 = e1
+                    .length_squared()
+                    .max(e2.length_squared())
+                    .max((c - b).length_squared());
+                // Needles have no usable frame.
+                if area < 1e-3 * longest2 {
+                    continue;
+                }
+                let x = e1.normalize();
+                let y = e1.cross(e2).normalize().cross(x);
+                let flat = [
+                    DVec2::new(e1.length(), 0.0),
+                    DVec2::new(e2.dot(x), e2.dot(y)),
+                ];
+                let warp = thread(garment, local, flat);
+                let [u, v] = [warp, warp.perp()].map(|thread| weights(flat, thread));
+                weaves.push(Weave {
+                    corners,
+                    u,
+                    v,
+                    rest: 0.0,
+                    stiffness: piece.cloth.shear * area,
+                    lambda: 0.0,
+                });
+            }
+        }
+        Self { weaves, damping_s }
+    }
+
+    /// Starts a substep.
+    pub fn reset(&mut self) {
+        for weave in &mut self.weaves {
+            weave.lambda = 0.0;
+        }
+    }
+
+    /// One pass over all faces.
+    pub fn solve(&mut self, state: &mut State, h: f64) {
+        let damping = self.damping_s / h;
+        for weave in &mut self.weaves {
+            let corners = weave.corners.map(|v| v as usize);
+            let sum = |from: &[DVec3], weights: &[f64; 3]| {
+                weights[0] * from[corners[0]]
+                    + weights[1] * from[corners[1]]
+                    + weights[2] * from[corners[2]]
+            };
+            let (fu, fv) = (sum(&state.p, &weave.u), sum(&state.p, &weave.v));
+            let error = fu.dot(fv) - weave.rest;
+            let gradient: [DVec3; 3] = std::array::from_fn(|k| weave.u[k] * fv + weave.v[k] * fu);
+            let mut w = 0.0;
+            let mut moved = 0.0;
+            for (k, &i) in corners.iter().enumerate() {
+                w += state.w[i] * gradient[k].length_squared();
+                moved += gradient[k].dot(state.p[i] - state.x[i]);
+            }
+            let s = weave.stiffness * h * h;
+            let lambda =
+                -(s * (error + damping * moved) + weave.lambda) / (1.0 + s * (1.0 + damping) * w);
+            weave.lambda += lambda;
+            for (k, &i) in corners.iter().enumerate() {
+                state.p[i] += (state.w[i] * lambda) * gradient[k];
+            }
+        }
+    }
+}
+
+/// Direction of the warp in the face's own plane: that of growing U, or the first edge without UV.
+fn thread(garment: &Garment, face: usize, [e1, e2]: [DVec2; 2]) -> DVec2 {
+    let uv = garment.uv_faces.get(face).and_then(|corners| {
+        let at = |k: usize| {
+            garment
+                .uv
+                .get(corners[k] as usize)
+                .map(|uv| f64::from(uv[0]))
+        };
+        Some([at(1)? - at(0)?, at(2)? - at(0)?])
+    });
+    let Some([u1, u2]) = uv else { return DVec2::X };
+    // Gradient g of U: g·e1 = u1, g·e2 = u2.
+    let determinant = e1.perp_dot(e2);
+    let gradient = DVec2::new(u1 * e2.y - u2 * e1.y, u2 * e1.x - u1 * e2.x) / determinant;
+    gradient
+        .try_normalize()
+        .filter(|g| g.is_finite())
+        .unwrap_or(DVec2::X)
+}
+
+/// Weights w with Σ w[k] x_k = image of `thread` under the map from rest to deformed face.
+fn weights([e1, e2]: [DVec2; 2], thread: DVec2) -> [f64; 3] {
+    let determinant = e1.perp_dot(e2);
+    let along1 = thread.perp_dot(e2) / determinant;
+    let along2 = e1.perp_dot(thread) / determinant;
+    [-along1 - along2, along1, along2]
+}
