@@ -1,0 +1,14 @@
+//! Parametric garments on any body: even triangle meshes with straight hems,
+//! welded seams and flat panels, in outfits whose layers nest.
+
+mod anatomy;
+mod field;
+mod flatten;
+mod outfit;
+mod pattern;
+mod remesh;
+mod sections;
+mod surface;
+
+pub use outfit::{METRES_PER_UV, Outfit, OutfitRequest, fitting_pose};
+pub use pattern::GarmentParameters;

@@ -1,0 +1,176 @@
+//! Flattens panels: as-rigid-as-possible parametrisation (Liu et al., "A
+//! Local/Global Approach to Mesh Parameterization", 2008), so that all panels
+//! have one texel density, then packs them on shelves.
+
+use glam::{DMat2, DVec2, DVec3};
+
+/// A flattened panel: its garment vertices and where they lie, in units.
+pub(super) struct Flat {
+    pub vertices: Vec<u32>,
+    pub uv: Vec<DVec2>,
+    /// Corner indices into `vertices`.
+    pub faces: Vec<[u32; 3]>,
+}
+
+/// Flattens `faces`; `start` places a vertex in the plane well enough to begin with.
+pub(super) fn flatten(
+    positions: &[DVec3],
+    faces: &[[u32; 3]],
+    start: &dyn Fn(DVec3) -> DVec2,
+) -> Flat {
+    let mut vertices: Vec<u32> = faces.iter().flatten().copied().collect();
+    vertices.sort_unstable();
+    vertices.dedup();
+    let local = |v: u32| vertices.binary_search(&v).expect("a vertex of the panel") as u32;
+    let faces: Vec<[u32; 3]> = faces.iter().map(|f| f.map(local)).collect();
+    let mut uv: Vec<DVec2> = vertices
+        .iter()
+        .map(|&v| start(positions[v as usize]))
+        .collect();
+
+    // Each triangle laid flat, and its cotangent weights (edge k faces corner k).
+    let mut flat = Vec::new();
+    let mut weight = Vec::new();
+    let mut diagonal = vec![1e-9; uv.len()];
+    for f in &faces {
+        let [a, b, c] = f.map(|v| positions[vertices[v as usize] as usize]);
+        let x = (b - a).normalize();
+        let n = x.cross(c - a).normalize();
+        let y = n.cross(x);
+        let q = [
+            DVec2::ZERO,
+            DVec2::new((b - a).dot(x), 0.0),
+            DVec2::new((c - a).dot(x), (c - a).dot(y)),
+        ];
+        let w = [0, 1, 2].map(|k: usize| {
+            let (u, v) = (q[(k + 1) % 3] - q[k], q[(k + 2) % 3] - q[k]);
+            (u.dot(v) / u.perp_dot(v).abs().max(1e-9)).clamp(0.05, 10.0)
+        });
+        for k in 0..3 {
+            diagonal[f[(k + 1) % 3] as usize] += w[k];
+            diagonal[f[(k + 2) % 3] as usize] += w[k];
+        }
+        flat.push(q);
+        weight.push(w);
+    }
+    let apply = |x: &[DVec2]| -> Vec<DVec2> {
+        let mut y: Vec<DVec2> = x.iter().map(|p| *p * 1e-9).collect();
+        for (f, w) in faces.iter().zip(&weight) {
+            for k in 0..3 {
+                let (i, j) = (f[(k + 1) % 3] as usize, f[(k + 2) % 3] as usize);
+                let d = (x[i] - x[j]) * w[k];
+                y[i] += d;
+                y[j] -= d;
+            }
+        }
+        y
+    };
+    for _ in 0..40 {
+        let mut right = vec![DVec2::ZERO; uv.len()];
+        for ((f, q), w) in faces.iter().zip(&flat).zip(&weight) {
+            // Closest rotation of the weighted cross covariance.
+            let mut m = DMat2::ZERO;
+            for k in 0..3 {
+                let (i, j) = ((k + 1) % 3, (k + 2) % 3);
+                let e = q[i] - q[j];
+                let u = uv[f[i] as usize] - uv[f[j] as usize];
+                m += DMat2::from_cols(u * e.x, u * e.y) * w[k];
+            }
+            let turn =
+                DVec2::new(m.x_axis.x + m.y_axis.y, m.x_axis.y - m.y_axis.x).normalize_or(DVec2::X);
+            for k in 0..3 {
+                let (i, j) = ((k + 1) % 3, (k + 2) % 3);
+                let e = turn.rotate(q[i] - q[j]) * w[k];
+                right[f[i] as usize] += e;
+                right[f[j] as usize] -= e;
+            }
+        }
+        conjugate_gradients(&apply, &diagonal, &right, &mut uv);
+    }
+    Flat {
+        vertices,
+        uv,
+        faces,
+    }
+}
+
+fn conjugate_gradients(
+    apply: &dyn Fn(&[DVec2]) -> Vec<DVec2>,
+    diagonal: &[f64],
+    right: &[DVec2],
+    x: &mut [DVec2],
+) {
+    let dot = |a: &[DVec2], b: &[DVec2]| a.iter().zip(b).map(|(a, b)| a.dot(*b)).sum::<f64>();
+    let precondition =
+        |r: &[DVec2]| -> Vec<DVec2> { r.iter().zip(diagonal).map(|(r, d)| *r / *d).collect() };
+    let mut r: Vec<DVec2> = right.iter().zip(apply(x)).map(|(b, a)| *b - a).collect();
+    let mut z = precondition(&r);
+    let mut p = z.clone();
+    let mut rz = dot(&r, &z);
+    let target = 1e-12 * dot(right, right).max(1e-12);
+    for _ in 0..60 {
+        if dot(&r, &r) < target {
+            break;
+        }
+        let ap = apply(&p);
+        let alpha = rz / dot(&p, &ap);
+        for i in 0..x.len() {
+            x[i] += p[i] * alpha;
+            r[i] -= ap[i] * alpha;
+        }
+        z = precondition(&r);
+        let next = dot(&r, &z);
+        let beta = next / rz;
+        rz = next;
+        for (p, z) in p.iter_mut().zip(&z) {
+            *p = *z + *p * beta;
+        }
+    }
+}
+
+impl Flat {
+    /// Triangles that are turned over or have lost their area.
+    pub fn flipped(&self) -> usize {
+        let area = |f: &&[u32; 3]| {
+            let [a, b, c] = f.map(|v| self.uv[v as usize]);
+            (b - a).perp_dot(c - a) <= 0.0
+        };
+        self.faces.iter().filter(area).count()
+    }
+
+    fn bounds(&self) -> (DVec2, DVec2) {
+        let low = self.uv.iter().fold(DVec2::INFINITY, |a, b| a.min(*b));
+        let high = self.uv.iter().fold(DVec2::NEG_INFINITY, |a, b| a.max(*b));
+        (low, high)
+    }
+}
+
+/// Moves panels onto shelves of a square of `side` units; false when they do not fit.
+pub(super) fn pack(panels: &mut [Flat], side: f64, gap: f64) -> bool {
+    let mut order: Vec<usize> = (0..panels.len()).collect();
+    let size = |p: &Flat| p.bounds().1 - p.bounds().0;
+    order.sort_by(|&a, &b| {
+        size(&panels[b])
+            .y
+            .total_cmp(&size(&panels[a]).y)
+            .then(a.cmp(&b))
+    });
+    let (mut at, mut shelf) = (DVec2::splat(gap), 0.0_f64);
+    for i in order {
+        let (low, high) = panels[i].bounds();
+        let extent = high - low;
+        if at.x + extent.x + gap > side {
+            at = DVec2::new(gap, at.y + shelf + gap);
+            shelf = 0.0;
+        }
+        if at.x + extent.x + gap > side || at.y + extent.y + gap > side {
+            return false;
+        }
+        for p in &mut panels[i].uv {
+            *p += at - low;
+        }
+        at.x += extent.x + gap;
+        shelf = shelf.max(extent.y);
+    }
+    true
+}

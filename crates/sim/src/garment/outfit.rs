@@ -1,0 +1,285 @@
+//! Garments of an outfit on one body: made inner to outer, checked for gaps
+//! and intersections.
+
+use std::sync::Arc;
+
+use drape_dataset::registry::GarmentKind;
+use drape_dataset::sequence::{Garment, Material};
+use drape_geometry::intersect;
+use glam::{DQuat, DVec2, DVec3};
+
+use super::anatomy::Anatomy;
+use super::field::Field;
+use super::flatten::{Flat, flatten, pack};
+use super::pattern::{GarmentParameters, Pattern, pattern};
+use super::remesh::remesh;
+use super::surface::{Cut, Surface};
+use crate::body::{Body, Pose, ShapedBody};
+use crate::error::{Result, SimError};
+
+/// Metres that one UV unit stands for.
+pub const METRES_PER_UV: f64 = 2.5;
+/// Units per metre of bodies and garments.
+const SCALE: f64 = 10.0;
+/// Distance between the fields of two layers, in units.
+const LAYER_GAP: f64 = 0.14;
+
+/// What to make.
+#[derive(Clone, Debug)]
+pub struct OutfitRequest<'a> {
+    /// Garments with their materials, inner layer first.
+    pub garments: &'a [(GarmentParameters, Material)],
+    /// Target edge length in metres (0.01–0.06).
+    pub edge_m: f64,
+}
+
+/// Garments that fit, and the body they were fitted on.
+#[derive(Clone, Debug)]
+pub struct Outfit {
+    /// Garments, inner layer first.
+    pub garments: Vec<Garment>,
+    /// Vertices of each garment that follow the body, `[garment]`.
+    pub waistbands: Vec<Vec<u32>>,
+    /// Body in the fitting pose, `[vertex, 3]`.
+    pub body: Vec<[f32; 3]>,
+}
+
+/// The pose garments are fitted in: arms away from the trunk, legs apart.
+///
+/// # Errors
+/// The body's rig lacks a joint.
+pub fn fitting_pose(body: &Body, shaped: &ShapedBody) -> Result<Pose> {
+    let mut pose = shaped.rest_pose();
+    for (side, sign) in [("Left", 1.0), ("Right", -1.0)] {
+        let apart = DQuat::from_rotation_y(-sign * 4.0_f64.to_radians());
+        pose.rotations[body.joint(&format!("{side}UpLeg"))?.index()] = apart;
+        pose.rotations[body.joint(&format!("{side}Foot"))?.index()] = apart.inverse();
+    }
+    let lowest = shaped
+        .pose(&pose)
+        .iter()
+        .map(|p| p[2])
+        .fold(f32::INFINITY, f32::min);
+    pose.root.z -= f64::from(lowest);
+    Ok(pose)
+}
+
+impl Outfit {
+    /// Makes the garments on a body in the fitting pose.
+    ///
+    /// # Errors
+    /// A parameter is out of range, or a garment does not fit: it would meet
+    /// the body, the layer below or itself, or its panels do not fit the UV square.
+    pub fn fit(body: &Body, shaped: &ShapedBody, request: &OutfitRequest) -> Result<Self> {
+        if !(0.01..=0.06).contains(&request.edge_m) {
+            return Err(SimError::value("edge_m", "0.01 to 0.06", request.edge_m));
+        }
+        let pose = fitting_pose(body, shaped)?;
+        let positions = shaped.pose(&pose);
+        let anatomy = Arc::new(Anatomy::new(body, shaped, &pose, &positions)?);
+        let edge = request.edge_m * SCALE;
+        let step = (0.65 * edge).clamp(0.1, 0.2);
+        let distance = Field::body(&positions, body.faces(), step, DVec3::new(0.6, 3.0, 0.6));
+        let mut inner: Option<Field> = None;
+        let mut outfit = Self {
+            garments: Vec::new(),
+            waistbands: Vec::new(),
+            body: positions,
+        };
+        for (layer, (parameters, material)) in request.garments.iter().enumerate() {
+            let made = pattern(parameters, &anatomy, &distance, inner.as_ref(), LAYER_GAP)?;
+            let name = name(parameters.kind);
+            let (garment, waistband) = sew(&made, name, parameters.kind, layer, *material, edge)?;
+            outfit.check(body, &garment)?;
+            outfit.garments.push(garment);
+            outfit.waistbands.push(waistband);
+            inner = Some(made.field);
+        }
+        Ok(outfit)
+    }
+
+    fn check(&self, body: &Body, garment: &Garment) -> Result<()> {
+        let problem = |count: u32, with: &str| {
+            if count == 0 {
+                return Ok(());
+            }
+            Err(SimError::fit(
+                &garment.name,
+                format!("{count} intersections with {with}"),
+            ))
+        };
+        problem(
+            intersect::count_within(&garment.rest, &garment.faces),
+            "itself",
+        )?;
+        let with = |positions: &[[f32; 3]], faces: &[[u32; 3]]| {
+            intersect::count_between(&garment.rest, &garment.faces, positions, faces)
+        };
+        problem(with(&self.body, body.faces()), "the body")?;
+        for other in &self.garments {
+            problem(with(&other.rest, &other.faces), &other.name)?;
+        }
+        Ok(())
+    }
+}
+
+fn name(kind: GarmentKind) -> &'static str {
+    match kind {
+        GarmentKind::Jacket => "jacket",
+        GarmentKind::JacketHood => "jacket-hood",
+        GarmentKind::Dress => "dress",
+        GarmentKind::Jumpsuit => "jumpsuit",
+        GarmentKind::Skirt => "skirt",
+        GarmentKind::Pants => "pants",
+        GarmentKind::TShirt => "t-shirt",
+    }
+}
+
+fn sew(
+    made: &Pattern,
+    name: &str,
+    kind: GarmentKind,
+    layer: usize,
+    material: Material,
+    edge: f64,
+) -> Result<(Garment, Vec<u32>)> {
+    let mut surface = Surface::extract(&made.field);
+    for (k, cut) in made.removed.iter().enumerate() {
+        surface.cut(cut, k as u32, true);
+    }
+    surface.keep_largest();
+    let first_seam = made.removed.len() as u32;
+    for (k, cut) in made.seams.iter().enumerate() {
+        surface.cut(cut, first_seam + k as u32, false);
+    }
+    surface.keep_features();
+    let cuts: Vec<&Cut> = made.removed.iter().chain(&made.seams).collect();
+    let mut surface = remesh(surface, &made.field, &cuts, edge, 8);
+    if surface.faces.is_empty() {
+        return Err(SimError::fit(name, "nothing is left of it"));
+    }
+    // Labels of sides that share a seam: left and right pieces become panels of their own.
+    let pieces = connected_pieces(&mut surface, first_seam);
+    let mut panels = Vec::new();
+    let mut names = Vec::new();
+    let mut panel_of_face = vec![0; surface.faces.len()];
+    for (p, members) in pieces.iter().enumerate() {
+        let faces: Vec<[u32; 3]> = members.iter().map(|&f| surface.faces[f as usize]).collect();
+        let label = surface.labels[members[0] as usize] >> first_seam;
+        let back = label & 1 == 1;
+        let start = |p: DVec3| DVec2::new(if back { -p.x } else { p.x }, p.z);
+        let flat = flatten(&surface.positions, &faces, &start);
+        if flat.flipped() > 0 {
+            let found = format!(
+                "{} triangles of a panel cannot be laid flat",
+                flat.flipped()
+            );
+            return Err(SimError::fit(name, found));
+        }
+        let x: f64 = faces
+            .iter()
+            .flatten()
+            .map(|&v| surface.positions[v as usize].x)
+            .sum();
+        let side = if x > 0.0 { "left" } else { "right" };
+        let base = (made.panel)(label);
+        let twins = pieces
+            .iter()
+            .filter(|q| surface.labels[q[0] as usize] >> first_seam == label)
+            .count();
+        names.push(if twins > 1 {
+            format!("{base}-{side}")
+        } else {
+            base
+        });
+        members
+            .iter()
+            .for_each(|&f| panel_of_face[f as usize] = p as u32);
+        panels.push(flat);
+    }
+    let side = METRES_PER_UV * SCALE;
+    if !pack(&mut panels, side, 0.3) {
+        return Err(SimError::fit(
+            name,
+            format!("its panels do not fit {METRES_PER_UV} m × {METRES_PER_UV} m"),
+        ));
+    }
+    let (uv, uv_faces) = uv_of(&panels, &pieces, surface.faces.len(), side);
+    let waistband = made.waistband_z.map_or_else(Vec::new, |z| {
+        (0..surface.positions.len() as u32)
+            .filter(|&v| surface.positions[v as usize].z > z)
+            .collect()
+    });
+    let garment = Garment {
+        name: name.into(),
+        kind,
+        layer: layer as u32,
+        rest: surface
+            .positions
+            .iter()
+            .map(|p| p.to_array().map(|x| x as f32))
+            .collect(),
+        faces: surface.faces,
+        uv,
+        uv_faces,
+        panel_of_face,
+        panels: names,
+        material,
+    };
+    Ok((garment, waistband))
+}
+
+/// Connected sets of faces of one label, in order of their first face.
+fn connected_pieces(surface: &mut Surface, _first_seam: u32) -> Vec<Vec<u32>> {
+    let mut around = vec![Vec::new(); surface.positions.len()];
+    for (i, f) in surface.faces.iter().enumerate() {
+        f.iter().for_each(|&v| around[v as usize].push(i as u32));
+    }
+    let mut piece = vec![false; surface.faces.len()];
+    let mut pieces = Vec::new();
+    for start in 0..surface.faces.len() as u32 {
+        if std::mem::replace(&mut piece[start as usize], true) {
+            continue;
+        }
+        let mut members = vec![start];
+        let mut next = 0;
+        while next < members.len() {
+            let f = surface.faces[members[next] as usize];
+            for k in 0..3 {
+                let other = &around[f[(k + 1) % 3] as usize];
+                for &g in around[f[k] as usize].iter().filter(|g| other.contains(g)) {
+                    let same = surface.labels[g as usize] == surface.labels[start as usize];
+                    if same && !std::mem::replace(&mut piece[g as usize], true) {
+                        members.push(g);
+                    }
+                }
+            }
+            next += 1;
+        }
+        members.sort_unstable();
+        pieces.push(members);
+    }
+    pieces
+}
+
+fn uv_of(
+    panels: &[Flat],
+    pieces: &[Vec<u32>],
+    faces: usize,
+    side: f64,
+) -> (Vec<[f32; 2]>, Vec<[u32; 3]>) {
+    let mut uv = Vec::new();
+    let mut uv_faces = vec![[0; 3]; faces];
+    for (flat, members) in panels.iter().zip(pieces) {
+        let start = uv.len() as u32;
+        uv.extend(
+            flat.uv
+                .iter()
+                .map(|p| (*p / side).to_array().map(|x| x as f32)),
+        );
+        for (&f, corners) in members.iter().zip(&flat.faces) {
+            uv_faces[f as usize] = corners.map(|c| start + c);
+        }
+    }
+    (uv, uv_faces)
+}
