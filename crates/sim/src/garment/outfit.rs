@@ -108,6 +108,7 @@ impl Outfit {
                 format!("{count} intersections with {with}"),
             ))
         };
+        for h in intersect::hits_within(&garment.rest, &garment.faces) { eprintln!("DBG {} {:?} {:?} {:?}", garment.name, garment.rest[h.edge[0] as usize], garment.rest[h.edge[1] as usize], garment.faces[h.face as usize].map(|v| garment.rest[v as usize])); }
         problem(
             intersect::count_within(&garment.rest, &garment.faces),
             "itself",
@@ -169,6 +170,7 @@ fn sew(
         let back = label & 1 == 1;
         let start = |p: DVec3| DVec2::new(if back { -p.x } else { p.x }, p.z);
         let flat = flatten(&surface.positions, &faces, &start);
+        for f in &flat.faces { let [a,b,c] = f.map(|v| flat.uv[v as usize]); if (b-a).perp_dot(c-a) <= 0. { eprintln!("FLIP {name} {:?}", f.map(|v| surface.positions[flat.vertices[v as usize] as usize])); } }
         if flat.flipped() > 0 {
             let found = format!(
                 "{} triangles of a panel cannot be laid flat",

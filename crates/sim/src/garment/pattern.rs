@@ -31,7 +31,7 @@ pub struct GarmentParameters {
 
 /// Distance from the body that every garment keeps at least, in units (with
 /// the mesh's chords cutting corners about 8 mm of real cloth remain).
-const OFFSET: f64 = 0.13;
+const OFFSET: f64 = 0.15;
 
 /// A field with the cuts and seams that make it a garment.
 pub(super) struct Pattern {

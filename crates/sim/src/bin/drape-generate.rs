@@ -1,0 +1,396 @@
+//! `drape-generate`: makes a data set of simulated sequences.
+
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::Parser;
+use drape_dataset::sequence::{Frame, SequenceHeader};
+use drape_dataset::splits::{DatasetIndex, INDEX_FILE, Split};
+use drape_dataset::{SequenceReader, SequenceWriter};
+use drape_sim::SimError;
+use drape_sim::cloth::EngineSettings;
+use drape_sim::scene::{Recipe, SceneRanges, simulate};
+use indicatif::{ProgressBar, ProgressStyle};
+use rayon::prelude::*;
+use serde::Deserialize;
+
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
+/// The configuration used without --config; a copy lies in configs/generate.toml.
+const DEFAULT_CONFIG: &str = include_str!("../../../../configs/generate.toml");
+
+/// Make a data set: bodies in motion, dressed in layers, simulated by the engine.
+///
+/// Each sequence is drawn from the configuration's ranges with its own body
+/// shape, outfit, materials, motion and wind, simulated, and written as one
+/// MCAP file; dataset.json lists the files with their splits. The same seed
+/// makes the same bytes, whatever the number of threads.
+///
+/// Interrupted? Run the same command again: sequences that are finished are
+/// kept, the others are made.
+#[derive(Parser)]
+#[command(name = "drape-generate", version)]
+struct Arguments {
+    /// Configuration (TOML); without it that of configs/generate.toml
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Folder of the data set
+    #[arg(long, value_name = "DIR", default_value = "data/default")]
+    out: PathBuf,
+    /// Number of sequences, train and test in the configuration's proportion
+    #[arg(long, value_name = "N")]
+    sequences: Option<usize>,
+    /// Frames of each sequence
+    #[arg(long, value_name = "N")]
+    frames: Option<usize>,
+    /// Seed of everything random
+    #[arg(long, value_name = "S")]
+    seed: Option<u64>,
+    /// Sequences simulated at the same time; 0 takes all processor cores
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    threads: usize,
+    /// Print the configuration that would be used, and stop
+    #[arg(long)]
+    print_config: bool,
+}
+
+/// Configuration of a data set.
+#[derive(Clone, Debug, PartialEq, Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields)]
+struct Config {
+    seed: u64,
+    train_sequences: usize,
+    test_sequences: usize,
+    frames: usize,
+    attempts: usize,
+    scene: SceneRanges,
+    engine: EngineSettings,
+}
+
+fn main() -> ExitCode {
+    match run(&Arguments::parse()) {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: &Arguments) -> Result<ExitCode> {
+    let config = resolve(arguments)?;
+    if arguments.print_config {
+        print!("{}", toml::to_string(&config)?);
+        return Ok(ExitCode::SUCCESS);
+    }
+    std::fs::create_dir_all(&arguments.out)
+        .with_context(|| format!("cannot make folder {}", arguments.out.display()))?;
+    static STOP: AtomicBool = AtomicBool::new(false);
+    ctrlc::set_handler(|| STOP.store(true, Ordering::Relaxed)).context("cannot catch Ctrl-C")?;
+
+    let jobs = jobs(&config);
+    let lead = config.scene.lead_in.still + config.scene.lead_in.ease;
+    let bar = ProgressBar::new((jobs.len() * (lead + config.frames)) as u64);
+    bar.set_style(
+        ProgressStyle::with_template("{bar:30} {percent}%  {msg}  {elapsed} gone, {eta} to go")?
+            .progress_chars("━━╌"),
+    );
+    bar.enable_steady_tick(Duration::from_millis(500));
+    bar.set_message("simulating");
+    let started = Instant::now();
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(arguments.threads)
+        .build()?;
+    let outcomes: Vec<Outcome> = pool.install(|| {
+        jobs.par_iter()
+            .map(|job| {
+                let outcome = make(job, &config, &arguments.out, &bar, &STOP);
+                if let Outcome::Failed(reason) = &outcome {
+                    bar.suspend(|| eprintln!("{}: {reason}", job.name));
+                }
+                outcome
+            })
+            .collect()
+    });
+    bar.finish_and_clear();
+    report(&outcomes, &config, started.elapsed());
+    if STOP.load(Ordering::Relaxed) {
+        bail!(
+            "interrupted; finished sequences are in {}: run the same command again to go on",
+            arguments.out.display()
+        );
+    }
+    write_index(&arguments.out, &jobs, &outcomes)?;
+    let failed = outcomes
+        .iter()
+        .any(|outcome| matches!(outcome, Outcome::Failed(_)));
+    Ok(if failed {
+        ExitCode::FAILURE
+    } else {
+        ExitCode::SUCCESS
+    })
+}
+
+fn resolve(arguments: &Arguments) -> Result<Config> {
+    let (text, source) = match &arguments.config {
+        None => (
+            DEFAULT_CONFIG.to_string(),
+            "the built-in configuration".into(),
+        ),
+        Some(path) => (
+            std::fs::read_to_string(path)
+                .with_context(|| format!("cannot read {}", path.display()))?,
+            path.display().to_string(),
+        ),
+    };
+    let mut config: Config =
+        toml::from_str(&text).with_context(|| format!("{source} is not a configuration"))?;
+    if let Some(sequences) = arguments.sequences {
+        ensure!(
+            sequences >= 2,
+            "--sequences: expected at least 2 (one to train, one to test), found {sequences}"
+        );
+        let all = (config.train_sequences + config.test_sequences).max(1);
+        let test = (sequences * config.test_sequences).div_ceil(all);
+        config.test_sequences = test.clamp(1, sequences - 1);
+        config.train_sequences = sequences - config.test_sequences;
+    }
+    config.frames = arguments.frames.unwrap_or(config.frames);
+    config.seed = arguments.seed.unwrap_or(config.seed);
+    ensure!(config.frames >= 1, "frames: expected at least 1, found 0");
+    ensure!(
+        config.attempts >= 1,
+        "attempts: expected at least 1, found 0"
+    );
+    config.scene.validate()?;
+    config.engine.validate()?;
+    Ok(config)
+}
+
+/// One sequence to make.
+struct Job {
+    name: String,
+    split: Split,
+    /// Number within the split.
+    number: usize,
+}
+
+fn jobs(config: &Config) -> Vec<Job> {
+    let of = |split: Split, count: usize| {
+        (0..count).map(move |number| Job {
+            name: format!("{}_{number:04}", split.name()),
+            split,
+            number,
+        })
+    };
+    of(Split::Train, config.train_sequences)
+        .chain(of(Split::Test, config.test_sequences))
+        .collect()
+}
+
+enum Outcome {
+    /// Made now or found finished.
+    Done {
+        made_in: Option<Duration>,
+        frames: usize,
+        hits: [u64; 3],
+        clean_frames: usize,
+        attempts: usize,
+    },
+    Failed(String),
+    Stopped,
+}
+
+fn make(
+    job: &Job,
+    config: &Config,
+    folder: &Path,
+    bar: &ProgressBar,
+    stop: &AtomicBool,
+) -> Outcome {
+    let path = folder.join(format!("{}.mcap", job.name));
+    let lead = config.scene.lead_in.still + config.scene.lead_in.ease;
+    let all = (lead + config.frames) as u64;
+    let recipe = |attempt: usize| -> Recipe {
+        // Attempts after the first draw from streams of their own.
+        let name = match attempt {
+            0 => job.name.clone(),
+            again => format!("{}#{again}", job.name),
+        };
+        let mut recipe = config.scene.sample(
+            &name,
+            job.number,
+            config.seed,
+            config.frames,
+            &config.engine,
+        );
+        recipe.name.clone_from(&job.name);
+        recipe
+    };
+    for attempt in 0..config.attempts {
+        if let Some(outcome) = finished(&path, &recipe(attempt), attempt + 1) {
+            bar.inc(all);
+            return outcome;
+        }
+    }
+    let mut reasons = Vec::new();
+    for attempt in 0..config.attempts {
+        let started = Instant::now();
+        let mut counted = 0;
+        let result = simulate(&recipe(attempt), None, |_| {
+            counted += 1;
+            bar.inc(1);
+            if stop.load(Ordering::Relaxed) {
+                ControlFlow::Break(())
+            } else {
+                ControlFlow::Continue(())
+            }
+        });
+        match result {
+            Ok((header, frames)) => {
+                if let Err(error) = write(&path, &header, &frames) {
+                    return Outcome::Failed(format!("{error:#}"));
+                }
+                return done(&frames, Some(started.elapsed()), attempt + 1);
+            }
+            Err(SimError::Stopped { .. }) => return Outcome::Stopped,
+            Err(error) => {
+                bar.set_position(bar.position() - counted);
+                reasons.push(format!("attempt {}: {error}", attempt + 1));
+            }
+        }
+    }
+    bar.inc(all);
+    Outcome::Failed(reasons.join("; "))
+}
+
+/// A whole file with this recipe, if there is one.
+fn finished(path: &Path, recipe: &Recipe, attempts: usize) -> Option<Outcome> {
+    if !path.is_file() {
+        return None;
+    }
+    // A damaged or different file is made anew.
+    let reader = SequenceReader::open(path).ok()?;
+    let same = reader.header().scene.recipe == recipe.to_json()
+        && reader.header().scene.engine_version == env!("CARGO_PKG_VERSION")
+        && reader.frame_count() == recipe.frames;
+    if !same {
+        return None;
+    }
+    let frames = (0..reader.frame_count())
+        .map(|frame| reader.frame(frame))
+        .collect::<Result<Vec<_>, _>>()
+        .ok()?;
+    Some(done(&frames, None, attempts))
+}
+
+fn done(frames: &[Frame], made_in: Option<Duration>, attempts: usize) -> Outcome {
+    let mut hits = [0; 3];
+    let mut clean_frames = 0;
+    for counts in frames.iter().filter_map(|frame| frame.intersections) {
+        let counts = [
+            counts.between_garments,
+            counts.within_garments,
+            counts.with_body,
+        ];
+        clean_frames += usize::from(counts == [0; 3]);
+        for (sum, count) in hits.iter_mut().zip(counts) {
+            *sum += u64::from(count);
+        }
+    }
+    Outcome::Done {
+        made_in,
+        frames: frames.len(),
+        hits,
+        clean_frames,
+        attempts,
+    }
+}
+
+fn write(path: &Path, header: &SequenceHeader, frames: &[Frame]) -> Result<()> {
+    let mut writer = SequenceWriter::create(path, header)?;
+    for frame in frames {
+        writer.push(frame)?;
+    }
+    writer.finish()?;
+    Ok(())
+}
+
+fn report(outcomes: &[Outcome], config: &Config, elapsed: Duration) {
+    let lead = config.scene.lead_in.still + config.scene.lead_in.ease;
+    let (mut accepted, mut kept, mut failed, mut again) = (0, 0, 0, 0);
+    let (mut recorded, mut clean, mut simulated) = (0, 0, 0);
+    let mut hits = [0; 3];
+    let mut spent = Duration::ZERO;
+    for outcome in outcomes {
+        match outcome {
+            Outcome::Done {
+                made_in,
+                frames,
+                hits: of_sequence,
+                clean_frames,
+                attempts,
+            } => {
+                accepted += 1;
+                again += attempts - 1;
+                recorded += frames;
+                clean += clean_frames;
+                for (sum, count) in hits.iter_mut().zip(of_sequence) {
+                    *sum += count;
+                }
+                match made_in {
+                    Some(time) => {
+                        spent += *time;
+                        simulated += frames + lead;
+                    }
+                    None => kept += 1,
+                }
+            }
+            Outcome::Failed(_) => failed += 1,
+            Outcome::Stopped => {}
+        }
+    }
+    println!(
+        "sequences      {accepted} of {} ({kept} were there already, {failed} failed, \
+         {again} drawn again)",
+        outcomes.len()
+    );
+    println!("frames         {recorded}, {clean} without any intersection");
+    println!(
+        "intersections  {} between garments, {} within garments, {} with the body",
+        hits[0], hits[1], hits[2]
+    );
+    if simulated > 0 {
+        println!(
+            "time           {:.0} s in all; {:.3} s per simulated frame and thread; \
+             {:.0} frames per hour",
+            elapsed.as_secs_f64(),
+            spent.as_secs_f64() / simulated as f64,
+            simulated as f64 / elapsed.as_secs_f64() * 3600.0
+        );
+    }
+}
+
+fn write_index(folder: &Path, jobs: &[Job], outcomes: &[Outcome]) -> Result<()> {
+    let name = folder
+        .file_name()
+        .map_or_else(|| "data".into(), |name| name.to_string_lossy().into_owned());
+    let mut index = DatasetIndex::new(folder, name);
+    for (job, outcome) in jobs.iter().zip(outcomes) {
+        if matches!(outcome, Outcome::Done { .. }) {
+            index.add(format!("{}.mcap", job.name), job.split)?;
+        }
+    }
+    ensure!(
+        !index.sequences().is_empty(),
+        "no sequence could be made: no {INDEX_FILE} was written"
+    );
+    index.save()?;
+    println!("index          {}", folder.join(INDEX_FILE).display());
+    Ok(())
+}

@@ -1,0 +1,225 @@
+//! What scenes are drawn from, `[scene]` in a configuration file, and drawing.
+//!
+//! Every part of a scene has a random stream of its own under the sequence's
+//! seed, so that changing one range leaves the other parts as they were.
+
+use drape_dataset::random::stream;
+use drape_dataset::registry::GarmentKind;
+use drape_dataset::sequence::Material;
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+use super::recipe::{Recipe, RecipeGarment};
+use super::wind;
+use crate::body::ShapeRanges;
+use crate::cloth::EngineSettings;
+use crate::error::{Result, SimError};
+use crate::garment::GarmentParameters;
+use crate::motion::{LeadIn, Motion};
+
+/// Ranges of scenes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SceneRanges {
+    /// Outfits, inner garment first; sequences take them in turn.
+    pub outfits: Vec<Vec<GarmentKind>>,
+    /// Frames per second.
+    pub fps: f32,
+    /// Target edge length of an outfit's meshes in metres, drawn from this
+    /// range. Smaller: finer folds, more vertices, slower.
+    pub edge_m: [f64; 2],
+    /// Share of the sequences without wind.
+    pub calm_share: f64,
+    /// Strength of the wind in the paper's units.
+    pub wind_strength: [f32; 2],
+    /// Frames before the first recorded one: still in the fitting pose, then
+    /// easing into the motion.
+    pub lead_in: LeadIn,
+    /// Body shapes.
+    pub body: ShapeRanges,
+    /// Materials.
+    pub material: MaterialRanges,
+}
+
+/// Ranges of materials in the paper's units.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MaterialRanges {
+    /// Vertex mass.
+    pub mass: [f32; 2],
+    /// Tension, compression, shear and bending stiffness, each drawn alone.
+    pub stiffness: [f32; 2],
+    /// Friction of garments and body.
+    pub friction: [f32; 2],
+}
+
+impl Default for MaterialRanges {
+    fn default() -> Self {
+        Self {
+            mass: [0.2, 0.8],
+            stiffness: [15.0, 100.0],
+            friction: [40.0, 80.0],
+        }
+    }
+}
+
+impl Default for SceneRanges {
+    fn default() -> Self {
+        use GarmentKind::{Dress, Jacket, Pants, Skirt, TShirt};
+        Self {
+            outfits: vec![
+                vec![TShirt, Jacket],
+                vec![Pants, Skirt],
+                vec![Pants, Dress],
+                vec![Dress, Jacket],
+            ],
+            fps: 30.0,
+            edge_m: [0.032, 0.034],
+            calm_share: 0.5,
+            wind_strength: [50.0, 250.0],
+            lead_in: LeadIn {
+                still: 12,
+                ease: 25,
+            },
+            body: ShapeRanges::default(),
+            material: MaterialRanges::default(),
+        }
+    }
+}
+
+impl SceneRanges {
+    /// Checks ranges and outfits.
+    ///
+    /// # Errors
+    /// The first range that is empty, out of bounds or not finite, by name.
+    pub fn validate(&self) -> Result<()> {
+        let range = |name: &str, [low, high]: [f64; 2], [least, most]: [f64; 2]| {
+            // Written so that NaN fails too.
+            let good = least <= low && low <= high && high <= most;
+            if good {
+                return Ok(());
+            }
+            Err(SimError::value(
+                format!("scene.{name}"),
+                format!("[low, high] with {least} ≤ low ≤ high ≤ {most}"),
+                format!("[{low}, {high}]"),
+            ))
+        };
+        let wide = |values: [f32; 2]| values.map(f64::from);
+        range("edge_m", self.edge_m, [0.01, 0.06])?;
+        range("wind_strength", wide(self.wind_strength), [0.0, 400.0])?;
+        range("calm_share", [self.calm_share; 2], [0.0, 1.0])?;
+        range("fps", [f64::from(self.fps); 2], [1.0, 1000.0])?;
+        range("material.mass", wide(self.material.mass), [0.01, 10.0])?;
+        range(
+            "material.stiffness",
+            wide(self.material.stiffness),
+            [0.0, 1000.0],
+        )?;
+        range(
+            "material.friction",
+            wide(self.material.friction),
+            [0.0, 1000.0],
+        )?;
+        for (name, values) in [
+            ("body.sex", self.body.sex),
+            ("body.weight", self.body.weight),
+            ("body.muscle", self.body.muscle),
+            ("body.height", self.body.height),
+            ("body.proportions", self.body.proportions),
+        ] {
+            range(name, values, [0.0, 1.0])?;
+        }
+        if self.outfits.is_empty() || self.outfits.iter().any(Vec::is_empty) {
+            return Err(SimError::value(
+                "scene.outfits",
+                "at least one outfit, each with at least one garment",
+                format!("{:?}", self.outfits),
+            ));
+        }
+        Ok(())
+    }
+
+    /// Draws the recipe of sequence `name`, the `number`th of its split.
+    pub fn sample(
+        &self,
+        name: &str,
+        number: usize,
+        seed: u64,
+        frames: usize,
+        engine: &EngineSettings,
+    ) -> Recipe {
+        let part = |part: &str| stream(seed, &format!("{name}/{part}"));
+        let material = &self.material;
+        let mut rng = part("garments");
+        let garments = self.outfits[number % self.outfits.len()]
+            .iter()
+            .map(|&kind| RecipeGarment {
+                parameters: sample_garment(kind, &mut rng),
+                material: material.sample(&mut rng),
+            })
+            .collect();
+        let mut rng = part("scene");
+        let edge_m = between(&mut rng, self.edge_m);
+        let body_friction = between(&mut rng, material.friction.map(f64::from)) as f32;
+        let mut rng = part("wind");
+        let calm = rng.random_bool(self.calm_share);
+        Recipe {
+            name: name.to_string(),
+            seed,
+            frames,
+            fps: self.fps,
+            shape: self.body.sample(&mut part("shape")),
+            body_friction,
+            garments,
+            edge_m,
+            gravity: [0.0, 0.0, -98.1],
+            motion: Motion::sample(&mut part("motion")),
+            lead_in: self.lead_in,
+            wind: if calm {
+                Vec::new()
+            } else {
+                wind::sample(&mut rng, frames, self.wind_strength)
+            },
+            engine: engine.clone(),
+        }
+    }
+}
+
+impl MaterialRanges {
+    fn sample(&self, rng: &mut ChaCha8Rng) -> Material {
+        let mut draw = |range: [f32; 2]| between(rng, range.map(f64::from)) as f32;
+        Material {
+            mass: draw(self.mass),
+            tension: draw(self.stiffness),
+            compression: draw(self.stiffness),
+            shear: draw(self.stiffness),
+            bending: draw(self.stiffness),
+            friction: draw(self.friction),
+        }
+    }
+}
+
+/// Cuts that look like the kind: jackets have long sleeves, T-shirts short ones.
+fn sample_garment(kind: GarmentKind, rng: &mut ChaCha8Rng) -> GarmentParameters {
+    let mut draw = |low: f64, high: f64| between(rng, [low, high]);
+    let (ease_m, sleeve, flare) = match kind {
+        GarmentKind::TShirt => (draw(0.015, 0.04), draw(0.4, 0.8), 0.0),
+        GarmentKind::Jacket | GarmentKind::JacketHood => (draw(0.025, 0.05), draw(1.3, 1.75), 0.0),
+        GarmentKind::Dress => (draw(0.02, 0.04), 0.0, draw(0.1, 0.35)),
+        GarmentKind::Skirt => (draw(0.01, 0.03), 0.0, draw(0.1, 0.4)),
+        GarmentKind::Pants | GarmentKind::Jumpsuit => (draw(0.01, 0.04), 0.0, draw(0.0, 0.15)),
+    };
+    GarmentParameters {
+        kind,
+        length: draw(0.1, 0.9),
+        ease_m,
+        sleeve,
+        flare,
+    }
+}
+
+fn between(rng: &mut ChaCha8Rng, [low, high]: [f64; 2]) -> f64 {
+    low + (high - low) * rng.random::<f64>()
+}

@@ -1,0 +1,82 @@
+//! Everything that decides a sequence.
+
+use drape_dataset::sequence::Material;
+use serde::{Deserialize, Serialize};
+
+use super::wind::WindPivot;
+use crate::body::Shape;
+use crate::cloth::EngineSettings;
+use crate::error::{Result, SimError};
+use crate::garment::GarmentParameters;
+use crate::motion::{LeadIn, Motion};
+
+/// A scene, complete: shape, outfit, motion, wind, engine.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Recipe {
+    /// Name of the sequence.
+    pub name: String,
+    /// Seed the recipe was drawn with.
+    pub seed: u64,
+    /// Recorded frames.
+    pub frames: usize,
+    /// Frames per second.
+    pub fps: f32,
+    /// Body shape.
+    pub shape: Shape,
+    /// Friction of the body in the paper's units.
+    pub body_friction: f32,
+    /// Garments, inner layer first.
+    pub garments: Vec<RecipeGarment>,
+    /// Target edge length of the garments' meshes in metres.
+    pub edge_m: f64,
+    /// Acceleration of gravity in units/s².
+    pub gravity: [f32; 3],
+    /// Movement of the body.
+    pub motion: Motion,
+    /// Frames before the first recorded one.
+    pub lead_in: LeadIn,
+    /// Wind, pivots in order; empty when calm.
+    pub wind: Vec<WindPivot>,
+    /// The engine's settings.
+    pub engine: EngineSettings,
+}
+
+/// A garment of a recipe.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RecipeGarment {
+    /// Kind and cut.
+    pub parameters: GarmentParameters,
+    /// Material in the paper's units.
+    #[serde(with = "MaterialNumbers")]
+    pub material: Material,
+}
+
+/// [`Material`] as it is written in recipes.
+#[derive(Serialize, Deserialize)]
+#[serde(remote = "Material", deny_unknown_fields)]
+struct MaterialNumbers {
+    mass: f32,
+    tension: f32,
+    compression: f32,
+    shear: f32,
+    bending: f32,
+    friction: f32,
+}
+
+impl Recipe {
+    /// The recipe as it is stored in a sequence.
+    pub fn to_json(&self) -> String {
+        serde_json::to_string(self).expect("numbers and text always have a JSON form")
+    }
+
+    /// Reads a stored recipe.
+    ///
+    /// # Errors
+    /// Not a recipe of this version: the error says where.
+    pub fn from_json(text: &str) -> Result<Self> {
+        serde_json::from_str(text)
+            .map_err(|error| SimError::value("recipe", "JSON of a drape-sim recipe", error))
+    }
+}

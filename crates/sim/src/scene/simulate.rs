@@ -1,0 +1,189 @@
+//! From a recipe to a sequence.
+//!
+//! The garments are made on the body in the fitting pose and hang for the
+//! still frames of the lead-in; then the body eases into its motion; only then
+//! frames are recorded, each with its intersections counted.
+
+use std::ops::ControlFlow;
+
+use drape_dataset::sequence::{
+    BodyTopology, Frame, Intersections, Root, SceneMeta, SequenceHeader, Wind,
+};
+use drape_geometry::intersect::{count_between, count_within};
+
+use super::effects::active_effects;
+use super::recipe::Recipe;
+use super::wind::wind_at;
+use crate::body::{Body, Pose, ShapedBody};
+use crate::cloth::{Engine, ScenePhysics};
+use crate::error::{Result, SimError};
+use crate::garment::{METRES_PER_UV, Outfit, OutfitRequest, fitting_pose};
+
+/// Scene units per metre.
+const SCALE: f32 = 10.0;
+
+/// How far a simulation is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Progress {
+    /// Frames done, lead-in included.
+    pub done: usize,
+    /// Frames in all, lead-in included.
+    pub of: usize,
+}
+
+/// Simulates a recipe; `substeps` replaces the engine's number of steps a
+/// frame. `progress` is called after every frame and may break off.
+///
+/// # Errors
+/// Garments that do not fit the body, settings out of range, a simulation that
+/// blew up ([`SimError::NotFinite`]), or [`SimError::Stopped`].
+pub fn simulate(
+    recipe: &Recipe,
+    substeps: Option<u32>,
+    mut progress: impl FnMut(Progress) -> ControlFlow<()>,
+) -> Result<(SequenceHeader, Vec<Frame>)> {
+    let mut recipe = recipe.clone();
+    if let Some(substeps) = substeps {
+        recipe.engine.substeps = substeps;
+    }
+    let body = Body::load()?;
+    let shaped = body.shaped(&recipe.shape);
+    let garments: Vec<_> = recipe
+        .garments
+        .iter()
+        .map(|garment| (garment.parameters, garment.material))
+        .collect();
+    let outfit = Outfit::fit(
+        &body,
+        &shaped,
+        &OutfitRequest {
+            garments: &garments,
+            edge_m: recipe.edge_m,
+        },
+    )?;
+    let rest = fitting_pose(&body, &shaped)?;
+    let fps = f64::from(recipe.fps);
+    let lead = recipe.lead_in;
+    let poses = recipe
+        .motion
+        .poses(&body, &shaped, &rest, fps, lead, recipe.frames)?;
+    let first = lead.still + lead.ease;
+
+    let mut header = header(&recipe, &body, &outfit);
+    let physics = ScenePhysics {
+        scale: SCALE,
+        gravity: recipe.gravity,
+        body_friction: recipe.body_friction,
+        effects: header.scene.effects.iter().copied().collect(),
+    };
+    let mut engine = Engine::new(
+        &outfit.garments,
+        &outfit.waistbands,
+        body.faces(),
+        &outfit.body,
+        &physics,
+        &recipe.engine,
+    )?;
+    let mut frames = Vec::with_capacity(recipe.frames);
+    let mut crossed_body = 0;
+    for (number, pose) in poses.iter().enumerate() {
+        let positions = shaped.pose(pose);
+        let recorded = number.checked_sub(first);
+        let wind = recorded.map_or_else(Wind::default, |frame| wind_at(&recipe.wind, frame));
+        engine.advance(&positions, wind, 1.0 / fps)?;
+        if recorded.is_some() {
+            crossed_body += u32::from(count_within(&positions, body.faces()) > 0);
+            frames.push(frame(&shaped, pose, positions, &engine, &header, wind)?);
+        }
+        let now = Progress {
+            done: number + 1,
+            of: poses.len(),
+        };
+        if progress(now).is_break() {
+            return Err(SimError::Stopped { frame: number + 1 });
+        }
+    }
+    if crossed_body > 0 {
+        header.scene.warnings.push(format!(
+            "the body intersects itself in {crossed_body} of {} frames",
+            frames.len()
+        ));
+    }
+    Ok((header, frames))
+}
+
+fn header(recipe: &Recipe, body: &Body, outfit: &Outfit) -> SequenceHeader {
+    SequenceHeader {
+        name: recipe.name.clone(),
+        scene: SceneMeta {
+            scale: SCALE,
+            fps: recipe.fps,
+            seed: recipe.seed,
+            engine: "drape-sim".into(),
+            engine_version: env!("CARGO_PKG_VERSION").into(),
+            effects: active_effects(recipe).into_iter().collect(),
+            gravity: recipe.gravity,
+            body_friction: recipe.body_friction,
+            metres_per_uv: METRES_PER_UV as f32,
+            recipe: recipe.to_json(),
+            warnings: Vec::new(),
+        },
+        body: BodyTopology {
+            rest: outfit.body.clone(),
+            faces: body.faces().to_vec(),
+            vertex_count: body.vertex_count(),
+        },
+        garments: outfit.garments.clone(),
+    }
+}
+
+fn frame(
+    shaped: &ShapedBody,
+    pose: &Pose,
+    body: Vec<[f32; 3]>,
+    engine: &Engine,
+    header: &SequenceHeader,
+    wind: Wind,
+) -> Result<Frame> {
+    let (place, turn) = shaped.joints(pose)[0];
+    let [x, y, z, w] = turn.to_array().map(|value| value as f32);
+    let mut frame = Frame {
+        body,
+        root: Root {
+            translation: place.to_array().map(|value| value as f32),
+            rotation: [w, x, y, z],
+        },
+        garments: engine.garments(),
+        wind,
+        intersections: None,
+    };
+    // Counting skips numbers that are not finite, so they are looked for first.
+    for (positions, garment) in frame.garments.iter().zip(&header.garments) {
+        let broken = |p: &[f32; 3]| !p.iter().all(|x| x.is_finite());
+        if let Some(vertex) = positions.iter().position(broken) {
+            return Err(SimError::NotFinite {
+                surface: garment.name.clone(),
+                vertex,
+                found: positions[vertex],
+            });
+        }
+    }
+    frame.intersections = Some(count_intersections(header, &frame));
+    Ok(frame)
+}
+
+/// Edge–triangle hits of one frame.
+fn count_intersections(header: &SequenceHeader, frame: &Frame) -> Intersections {
+    let mut counts = Intersections::default();
+    let meshes: Vec<_> = frame.garments.iter().zip(&header.garments).collect();
+    for (i, (positions, garment)) in meshes.iter().enumerate() {
+        counts.within_garments += count_within(positions, &garment.faces);
+        counts.with_body +=
+            count_between(positions, &garment.faces, &frame.body, &header.body.faces);
+        for (others, other) in &meshes[i + 1..] {
+            counts.between_garments +=
+                count_between(positions, &garment.faces, others, &other.faces);
+        }
+    }
+    counts
+}
