@@ -4,42 +4,24 @@
 //! measured along the body's smooth normal there: one-sided, so that a vertex
 //! that got inside comes out again, at a limited speed. Body vertices keep the
 //! same distance from cloth faces, so that knees and elbows do not poke
-//! through between cloth vertices. Pushes rub: the tangential motion relative
-//! to the body shrinks by at most the friction coefficient times the push.
+//! through between cloth vertices.
 
 use drape_geometry::bvh::{Aabb, Bvh};
-use drape_geometry::closest::point_triangle;
 use glam::DVec3;
 
 use super::body::Body;
+use super::closest::closest;
+use super::contact::{Contact, Push, blend};
 use super::state::Cloth;
 
 /// A body vertex this deep under cloth is not pushed on: it belongs elsewhere.
 const POKE_DEPTH_M: f64 = 0.012;
 /// Cloth this deep in the body still finds out.
 const RESCUE_DEPTH_M: f64 = 0.03;
+/// Candidate faces of a vertex; the nearest ones.
+const MOST_FACES: usize = 8;
 
-/// Parameters of a contact pass.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Push {
-    /// Distance kept, m.
-    pub thickness: f64,
-    /// Largest undoing of penetration in this step, m.
-    pub recovery: f64,
-    /// Whether contacts rub.
-    pub rub: bool,
-}
-
-/// What was pushed in a step; its separating velocity is taken away afterwards.
-#[derive(Clone, Copy, Debug)]
-struct Touch {
-    vertices: [u32; 3],
-    weights: [f64; 3],
-    normal: DVec3,
-    body_velocity: DVec3,
-}
-
-/// Candidates and the touches of the present step.
+/// Candidates and the contacts of the present step.
 #[derive(Clone, Debug, Default)]
 pub(super) struct BodyContact {
     /// Cloth vertex and its range in `faces`.
@@ -47,7 +29,7 @@ pub(super) struct BodyContact {
     faces: Vec<u32>,
     /// Body vertex, cloth face.
     pokes: Vec<(u32, u32)>,
-    touches: Vec<Touch>,
+    contacts: Vec<Contact>,
     /// Coefficient for each garment.
     friction: Vec<f64>,
     /// Whether faces of each garment point outwards (1) or inwards (−1).
@@ -88,11 +70,11 @@ impl BodyContact {
                 continue;
             }
             near.clear();
-            let from = point.map(f64::from);
+            let from = double(*point);
             tree.overlapping(&Aabb::of(&[*point]).grown(reach as f32), |face| {
-                let corners =
-                    body.faces[face as usize].map(|v| search.body[v as usize].map(f64::from));
-                near.push((point_triangle(from, corners).distance2.sqrt(), face));
+                let [a, b, c] = body.faces[face as usize].map(|v| double(search.body[v as usize]));
+                let (_, at) = closest(from, a, b, c);
+                near.push((from.distance(at), face));
             });
             let least = near.iter().fold(f64::INFINITY, |l, (d, _)| l.min(*d));
             if least > reach {
@@ -100,7 +82,7 @@ impl BodyContact {
             }
             near.retain(|(d, _)| *d <= least + search.margin);
             near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-            near.truncate(8);
+            near.truncate(MOST_FACES);
             let first = self.faces.len() as u32;
             self.faces.extend(near.iter().map(|(_, face)| *face));
             self.vertices
@@ -108,185 +90,138 @@ impl BodyContact {
         }
         let reach = (thickness + search.margin) as f32;
         for (vertex, point) in search.body.iter().enumerate() {
-            search
-                .cloth_tree
-                .overlapping(&Aabb::of(&[*point]).grown(reach), |face| {
-                    self.pokes.push((vertex as u32, face));
-                });
+            let aabb = Aabb::of(&[*point]).grown(reach);
+            search.cloth_tree.overlapping(&aabb, |face| {
+                self.pokes.push((vertex as u32, face));
+            });
         }
     }
 
-    /// Forgets the last step's touches.
-    pub fn begin_step(&mut self) {
-        self.touches.clear();
+    /// Makes the step's contacts from present positions.
+    pub fn begin_step(&mut self, cloth: &Cloth, normals: &[DVec3], body: &Body, push: Push) {
+        let mut contacts = std::mem::take(&mut self.contacts);
+        contacts.clear();
+        let pokes = self.pokes.iter();
+        contacts.extend(pokes.filter_map(|&(v, f)| self.poke(cloth, normals, body, push, v, f)));
+        let vertices = self.vertices.iter();
+        contacts.extend(vertices.filter_map(|&(v, first, last)| {
+            self.vertex(cloth, body, push, v, first as usize..last as usize)
+        }));
+        self.contacts = contacts;
     }
 
-    /// One pass over all candidates.
-    pub fn solve(&mut self, cloth: &mut Cloth, body: &Body, push: Push) {
-        for i in 0..self.pokes.len() {
-            let (vertex, face) = self.pokes[i];
-            self.solve_poke(cloth, body, push, vertex as usize, face as usize);
-        }
-        for i in 0..self.vertices.len() {
-            let (vertex, first, last) = self.vertices[i];
-            let faces = first as usize..last as usize;
-            self.solve_vertex(cloth, body, push, vertex as usize, faces);
+    /// One pass over the step's contacts.
+    pub fn solve(&mut self, cloth: &mut Cloth) {
+        for contact in &mut self.contacts {
+            contact.solve(cloth);
         }
     }
 
-    fn solve_vertex(
-        &mut self,
-        cloth: &mut Cloth,
+    /// Ends the step. Returns how many contacts pushed.
+    pub fn settle(&self, cloth: &mut Cloth, dt: f64) -> usize {
+        for contact in &self.contacts {
+            contact.settle(cloth, dt);
+        }
+        self.contacts.iter().filter(|c| c.pushed).count()
+    }
+
+    fn vertex(
+        &self,
+        cloth: &Cloth,
         body: &Body,
         push: Push,
-        vertex: usize,
+        vertex: u32,
         faces: std::ops::Range<usize>,
-    ) {
-        let x = cloth.x[vertex];
+    ) -> Option<Contact> {
+        let x = cloth.x[vertex as usize];
         let mut least = f64::INFINITY;
         let mut nearest = None;
         for &face in &self.faces[faces] {
-            let corners = body.faces[face as usize].map(|v| body.x[v as usize].to_array());
-            let found = point_triangle(x.to_array(), corners);
-            if found.distance2 < least {
-                least = found.distance2;
-                nearest = Some((face, found));
+            let corners = body.faces[face as usize];
+            let [a, b, c] = corners.map(|v| body.x[v as usize]);
+            let (weights, point) = closest(x, a, b, c);
+            let distance2 = x.distance_squared(point);
+            if distance2 < least {
+                least = distance2;
+                nearest = Some((corners, weights, point));
             }
         }
-        let Some((face, nearest)) = nearest else {
-            return;
-        };
-        let corners = body.faces[face as usize];
-        let weights = nearest.barycentric;
+        let (corners, weights, point) = nearest?;
         let normal = blend(&body.normals, corners, weights).normalize_or_zero();
-        let point = DVec3::from_array(nearest.point);
         let gap = (x - point).dot(normal);
         // Farther than the rescue depth, the nearest candidate says nothing about the side.
-        if gap >= push.thickness || gap < -RESCUE_DEPTH_M || normal == DVec3::ZERO {
-            return;
+        let range = -RESCUE_DEPTH_M..push.thickness + Push::SLACK_M;
+        if !range.contains(&gap) || normal == DVec3::ZERO {
+            return None;
         }
         let old_point = blend(&body.old, corners, weights);
-        let old_gap = (cloth.old[vertex] - old_point).dot(normal);
-        let target = push.thickness.min(old_gap + push.recovery);
-        if gap >= target {
-            return;
-        }
-        let depth = target - gap;
-        cloth.x[vertex] += normal * depth;
-        let body_motion = point - old_point;
-        if push.rub {
-            let motion = cloth.x[vertex] - cloth.old[vertex] - body_motion;
-            let slide = motion - normal * motion.dot(normal);
-            let limit = self.friction[usize::from(cloth.garment[vertex])] * depth;
-            cloth.x[vertex] -= shortened(slide, limit);
-        }
-        self.touches.push(Touch {
-            vertices: [vertex as u32; 3],
-            weights: [1.0, 0.0, 0.0],
+        let old_gap = (cloth.old[vertex as usize] - old_point).dot(normal);
+        let garment = usize::from(cloth.garment[vertex as usize]);
+        Some(Contact {
+            vertices: [vertex; 4],
+            weights: [1.0, 0.0, 0.0, 0.0],
             normal,
-            body_velocity: body_motion,
-        });
+            base: point,
+            base_motion: point - old_point,
+            target: push.target(push.thickness, old_gap),
+            friction: if push.rub {
+                self.friction[garment]
+            } else {
+                0.0
+            },
+            pushed: false,
+        })
     }
 
-    fn solve_poke(
-        &mut self,
-        cloth: &mut Cloth,
+    fn poke(
+        &self,
+        cloth: &Cloth,
+        normals: &[DVec3],
         body: &Body,
         push: Push,
-        vertex: usize,
-        face: usize,
-    ) {
-        let corners = cloth.faces[face];
+        vertex: u32,
+        face: u32,
+    ) -> Option<Contact> {
+        let corners = cloth.faces[face as usize];
         let [a, b, c] = corners.map(|v| cloth.x[v as usize]);
-        let (from, normal) = (body.x[vertex], body.normals[vertex]);
-        // Cheap tests first: most candidates are far.
-        let ahead = [a, b, c].map(|p| (p - from).dot(normal));
-        if ahead.iter().all(|&g| g >= push.thickness) || ahead.iter().all(|&g| g < -POKE_DEPTH_M) {
-            return;
+        let (from, normal) = (body.x[vertex as usize], body.normals[vertex as usize]);
+        let garment = usize::from(cloth.garment_of_face[face as usize]);
+        let cloth_normal = normals[face as usize] * self.orientation[garment];
+        let far = (a - from).dot(cloth_normal);
+        if cloth_normal.dot(normal) < 0.2
+            || !(-POKE_DEPTH_M..push.thickness + Push::SLACK_M).contains(&far)
+        {
+            return None;
         }
-        let garment = usize::from(cloth.garment_of_face[face]);
-        let cloth_normal = (b - a).cross(c - a).normalize_or_zero() * self.orientation[garment];
-        if cloth_normal.dot(normal) < 0.2 {
-            return;
+        let (weights, point) = closest(from, a, b, c);
+        if weights.iter().any(|&w| w <= 0.0) {
+            return None;
         }
-        let nearest = point_triangle(
-            from.to_array(),
-            [a.to_array(), b.to_array(), c.to_array()],
-        );
-        let weights = nearest.barycentric;
-        if weights.iter().any(|&w| w <= 0.0) || nearest.distance2 > POKE_DEPTH_M * POKE_DEPTH_M {
-            return;
+        let gap = (point - from).dot(normal);
+        if gap >= push.thickness + Push::SLACK_M {
+            return None;
         }
-        let gap = (DVec3::from_array(nearest.point) - from).dot(normal);
-        let body_motion = from - body.old[vertex];
-        let old_gap = (blend(&cloth.old, corners, weights) - body.old[vertex]).dot(normal);
-        let target = push.thickness.min(old_gap + push.recovery);
-        let inverse = inverse_mass(cloth, corners, weights);
-        if gap >= target || inverse == 0.0 {
-            return;
-        }
-        let depth = target - gap;
-        let mut shift = normal * depth;
-        if push.rub {
-            let motion = blend(&cloth.x, corners, weights)
-                - blend(&cloth.old, corners, weights)
-                - body_motion;
-            let slide = motion - normal * motion.dot(normal);
-            shift -= shortened(slide, self.friction[garment] * depth);
-        }
-        for (v, weight) in corners.iter().zip(weights) {
-            let v = *v as usize;
-            cloth.x[v] += shift * (weight * cloth.w[v] / inverse);
-        }
-        self.touches.push(Touch {
-            vertices: corners,
-            weights,
+        let old = body.old[vertex as usize];
+        let old_gap = (blend(&cloth.old, corners, weights) - old).dot(normal);
+        let [wa, wb, wc] = weights;
+        let [a, b, c] = corners;
+        Some(Contact {
+            vertices: [a, b, c, a],
+            weights: [wa, wb, wc, 0.0],
             normal,
-            body_velocity: body_motion,
-        });
-    }
-
-    /// Takes away the velocity with which pushed cloth leaves the body: contacts
-    /// are inelastic, and undoing penetration must not throw. Returns how many.
-    pub fn settle(&self, cloth: &mut Cloth, dt: f64) -> usize {
-        for touch in &self.touches {
-            let inverse = inverse_mass(cloth, touch.vertices, touch.weights);
-            let velocity = blend(&cloth.v, touch.vertices, touch.weights);
-            let leaving = (velocity - touch.body_velocity / dt).dot(touch.normal);
-            if leaving <= 0.0 || inverse == 0.0 {
-                continue;
-            }
-            for (v, weight) in touch.vertices.iter().zip(touch.weights) {
-                let v = *v as usize;
-                let share = weight * cloth.w[v] / inverse;
-                cloth.v[v] -= touch.normal * (leaving * share);
-            }
-        }
-        self.touches.len()
+            base: from,
+            base_motion: from - old,
+            target: push.target(push.thickness, old_gap),
+            friction: if push.rub {
+                self.friction[garment]
+            } else {
+                0.0
+            },
+            pushed: false,
+        })
     }
 }
 
-/// Weighted sum over a triangle's corners.
-pub(super) fn blend(x: &[DVec3], corners: [u32; 3], weights: [f64; 3]) -> DVec3 {
-    let [a, b, c] = corners.map(|v| x[v as usize]);
-    a * weights[0] + b * weights[1] + c * weights[2]
-}
-
-/// Inverse mass of a point of a face.
-pub(super) fn inverse_mass(cloth: &Cloth, corners: [u32; 3], weights: [f64; 3]) -> f64 {
-    let mut inverse = 0.0;
-    for (v, weight) in corners.iter().zip(weights) {
-        inverse += weight * weight * cloth.w[*v as usize];
-    }
-    inverse
-}
-
-/// The vector, no longer than `limit`.
-pub(super) fn shortened(v: DVec3, limit: f64) -> DVec3 {
-    let length = v.length();
-    if length > limit {
-        v * (limit / length)
-    } else {
-        v
-    }
+fn double(x: [f32; 3]) -> DVec3 {
+    DVec3::from_array(x.map(f64::from))
 }

@@ -8,11 +8,12 @@
 
 use drape_dataset::registry::Effect;
 use drape_geometry::bvh::Aabb;
-use drape_geometry::closest::point_triangle;
 use glam::DVec3;
 
 use super::body::vertex_normals;
-use super::body_contact::{Push, Search, blend, inverse_mass, shortened};
+use super::body_contact::Search;
+use super::closest::closest;
+use super::contact::{Contact, Push, blend};
 use super::physics::{ScenePhysics, friction_coefficient};
 use super::state::Cloth;
 
@@ -29,19 +30,11 @@ struct Pair {
     friction: f64,
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Touch {
-    vertex: u32,
-    face: u32,
-    weights: [f64; 3],
-    normal: DVec3,
-}
-
-/// Pairs and the touches of the present step.
+/// Pairs and the contacts of the present step.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ClothContact {
     pairs: Vec<Pair>,
-    touches: Vec<Touch>,
+    contacts: Vec<Contact>,
     /// Sides of each face that have no neighbour.
     border: Vec<[bool; 3]>,
     orientation: Vec<f64>,
@@ -120,9 +113,9 @@ impl ClothContact {
         };
         let mut kept = thickness;
         if g == f {
-            let rest = corners.map(|v| cloth.rest[v as usize].to_array());
-            let apart = point_triangle(cloth.rest[vertex].to_array(), rest).distance2;
-            kept = kept.min(0.7 * apart.sqrt());
+            let [a, b, c] = corners.map(|v| cloth.rest[v as usize]);
+            let (_, nearest) = closest(cloth.rest[vertex], a, b, c);
+            kept = kept.min(0.7 * cloth.rest[vertex].distance(nearest));
         }
         Some(Pair {
             vertex: vertex as u32,
@@ -133,96 +126,70 @@ impl ClothContact {
         })
     }
 
-    /// Forgets the last step's touches.
-    pub fn begin_step(&mut self) {
-        self.touches.clear();
+    /// Makes the step's contacts from present positions; `normals` of all faces.
+    pub fn begin_step(&mut self, cloth: &Cloth, normals: &[DVec3], push: Push) {
+        let mut contacts = std::mem::take(&mut self.contacts);
+        contacts.clear();
+        let pairs = self.pairs.iter();
+        contacts.extend(pairs.filter_map(|pair| self.contact(cloth, normals, pair, push)));
+        self.contacts = contacts;
     }
 
-    /// One pass over all pairs.
-    pub fn solve(&mut self, cloth: &mut Cloth, push: Push) {
-        for i in 0..self.pairs.len() {
-            let pair = self.pairs[i];
-            if let Some(touch) = self.solve_pair(cloth, &pair, push) {
-                self.touches.push(touch);
-            }
+    /// One pass over the step's contacts.
+    pub fn solve(&mut self, cloth: &mut Cloth) {
+        for contact in &mut self.contacts {
+            contact.solve(cloth);
         }
     }
 
-    fn solve_pair(&self, cloth: &mut Cloth, pair: &Pair, push: Push) -> Option<Touch> {
+    /// Ends the step. Returns how many contacts pushed.
+    pub fn settle(&self, cloth: &mut Cloth, dt: f64) -> usize {
+        for contact in &self.contacts {
+            contact.settle(cloth, dt);
+        }
+        self.contacts.iter().filter(|c| c.pushed).count()
+    }
+
+    fn contact(
+        &self,
+        cloth: &Cloth,
+        normals: &[DVec3],
+        pair: &Pair,
+        push: Push,
+    ) -> Option<Contact> {
         let (vertex, face) = (pair.vertex as usize, pair.face as usize);
         let corners = cloth.faces[face];
-        let [a, b, c] = corners.map(|v| cloth.x[v as usize]);
         let x = cloth.x[vertex];
-        let normal = (b - a).cross(c - a).normalize_or_zero() * pair.side;
-        let above = (x - a).dot(normal);
-        if above >= pair.thickness || above < -RESCUE_DEPTH_M || normal == DVec3::ZERO {
+        let normal = normals[face] * pair.side;
+        let above = (x - cloth.x[corners[0] as usize]).dot(normal);
+        let listed = pair.thickness + Push::SLACK_M;
+        if !(-RESCUE_DEPTH_M..listed).contains(&above) || normal == DVec3::ZERO {
             return None;
         }
-        let nearest = point_triangle(
-            x.to_array(),
-            [a.to_array(), b.to_array(), c.to_array()],
-        );
-        let weights = nearest.barycentric;
-        let point = DVec3::from_array(nearest.point);
-        let inside = weights.iter().all(|&w| w > 0.0);
-        let (direction, gap) = if inside {
-            (normal, above)
+        let [a, b, c] = corners.map(|v| cloth.x[v as usize]);
+        let (weights, point) = closest(x, a, b, c);
+        let direction = if weights.iter().all(|&w| w > 0.0) {
+            normal
         } else {
-            let apart = nearest.distance2.sqrt();
+            let apart = x.distance(point);
             let at_border = (0..3).any(|i| weights[i] <= 0.0 && self.border[face][i]);
-            if apart >= pair.thickness || apart < 1e-9 || (above < 0.0 && at_border) {
+            if apart >= listed || apart < 1e-9 || (above < 0.0 && at_border) {
                 return None;
             }
-            let sign = if above < 0.0 { -1.0 } else { 1.0 };
-            ((x - point) * (sign / apart), sign * apart)
+            (x - point) * (1f64.copysign(above) / apart)
         };
         let old = cloth.old[vertex] - blend(&cloth.old, corners, weights);
-        let target = pair.thickness.min(old.dot(direction) + push.recovery);
-        let (own, other) = (cloth.w[vertex], inverse_mass(cloth, corners, weights));
-        if gap >= target || own + other == 0.0 {
-            return None;
-        }
-        let depth = target - gap;
-        let mut shift = direction * depth;
-        if push.rub {
-            let motion = x - point - old;
-            let slide = motion - direction * motion.dot(direction);
-            shift -= shortened(slide, pair.friction * depth);
-        }
-        let shift = shift / (own + other);
-        cloth.x[vertex] += shift * own;
-        for (v, weight) in corners.iter().zip(weights) {
-            let v = *v as usize;
-            cloth.x[v] -= shift * (weight * cloth.w[v]);
-        }
-        Some(Touch {
-            vertex: pair.vertex,
-            face: pair.face,
-            weights,
+        let [wa, wb, wc] = weights;
+        let [a, b, c] = corners;
+        Some(Contact {
+            vertices: [pair.vertex, a, b, c],
+            weights: [1.0, -wa, -wb, -wc],
             normal: direction,
+            base: DVec3::ZERO,
+            base_motion: DVec3::ZERO,
+            target: push.target(pair.thickness, old.dot(direction)),
+            friction: if push.rub { pair.friction } else { 0.0 },
+            pushed: false,
         })
-    }
-
-    /// Takes away the velocity with which pushed pairs part. Returns how many.
-    pub fn settle(&self, cloth: &mut Cloth) -> usize {
-        for touch in &self.touches {
-            let corners = cloth.faces[touch.face as usize];
-            let vertex = touch.vertex as usize;
-            let inverse = cloth.w[vertex] + inverse_mass(cloth, corners, touch.weights);
-            let relative = cloth.v[vertex] - blend(&cloth.v, corners, touch.weights);
-            let leaving = relative.dot(touch.normal);
-            if leaving <= 0.0 || inverse == 0.0 {
-                continue;
-            }
-            let impulse = touch.normal * (leaving / inverse);
-            let own = cloth.w[vertex];
-            cloth.v[vertex] -= impulse * own;
-            for (v, weight) in corners.iter().zip(touch.weights) {
-                let v = *v as usize;
-                let share = weight * cloth.w[v];
-                cloth.v[v] += impulse * share;
-            }
-        }
-        self.touches.len()
     }
 }

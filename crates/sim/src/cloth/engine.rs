@@ -9,8 +9,9 @@ use glam::DVec3;
 
 use super::air::{Air, blow};
 use super::body::{Body, single};
-use super::body_contact::{BodyContact, Push, Search};
+use super::body_contact::{BodyContact, Search};
 use super::cloth_contact::ClothContact;
+use super::contact::Push;
 use super::elastic::Elastic;
 use super::physics::{ScenePhysics, air_velocity, friction_coefficient};
 use super::settings::EngineSettings;
@@ -36,6 +37,7 @@ pub struct Engine {
     waistband: Waistband,
     body_contact: Option<BodyContact>,
     cloth_contact: ClothContact,
+    face_normals: Vec<DVec3>,
     passes: BTreeMap<Effect, u64>,
 }
 
@@ -71,20 +73,18 @@ impl Engine {
         check_faces("body", body0.len(), body_faces)?;
         let scale = f64::from(physics.scale);
         let mut cloth = Cloth::new(garments, scale)?;
-        let body = Body::new(
-            body_faces,
-            body0.iter().map(|p| metres(p, scale)).collect(),
-        );
+        let body = Body::new(body_faces, body0.iter().map(|p| metres(p, scale)).collect());
         let orientation = orientation(&cloth, &body);
         let elastic = Elastic::new(&cloth, physics);
         let cloth_contact = ClothContact::new(&cloth, physics, orientation.clone());
-        let body_contact = (physics.has(Effect::BodyContact) && !body_faces.is_empty()).then(|| {
-            let rough = f64::from(physics.body_friction);
-            let friction = (cloth.fabrics.iter())
-                .map(|fabric| friction_coefficient(rough, fabric.friction))
-                .collect();
-            BodyContact::new(friction, orientation)
-        });
+        let body_contact =
+            (physics.has(Effect::BodyContact) && !body_faces.is_empty()).then(|| {
+                let rough = f64::from(physics.body_friction);
+                let friction = (cloth.fabrics.iter())
+                    .map(|fabric| friction_coefficient(rough, fabric.friction))
+                    .collect();
+                BodyContact::new(friction, orientation)
+            });
         let bound = bound_vertices(&cloth, waistbands)?;
         let waistband = if physics.has(Effect::Waistband) {
             Waistband::bind(&mut cloth, &body, bound.into_iter())
@@ -102,6 +102,7 @@ impl Engine {
             waistband,
             body_contact,
             cloth_contact,
+            face_normals: Vec::new(),
             passes: BTreeMap::new(),
         })
     }
@@ -276,26 +277,31 @@ impl Engine {
         let on_body = push(self.settings.body_thickness_m);
         let on_cloth = push(self.settings.cloth_thickness_m);
         let (between, within) = (self.cloth_contact.between(), self.cloth_contact.within());
-        self.cloth_contact.begin_step();
-        if let Some(contact) = &mut self.body_contact {
-            contact.begin_step();
+        let on = between || within || self.body_contact.is_some();
+        if on {
+            face_normals(&self.cloth, &mut self.face_normals);
         }
-        for _ in 0..2 {
+        if between || within {
+            let normals = &self.face_normals;
+            self.cloth_contact
+                .begin_step(&self.cloth, normals, on_cloth);
+        }
+        if let Some(contact) = &mut self.body_contact {
+            contact.begin_step(&self.cloth, &self.face_normals, &self.body, on_body);
+        }
+        for _ in 0..self.settings.contact_iterations {
             if between || within {
-                self.cloth_contact.solve(&mut self.cloth, on_cloth);
+                self.cloth_contact.solve(&mut self.cloth);
             }
             if let Some(contact) = &mut self.body_contact {
-                contact.solve(&mut self.cloth, &self.body, on_body);
+                contact.solve(&mut self.cloth);
             }
         }
         for (runs, effect) in [
             (between, Effect::LayerContact),
             (within, Effect::SelfContact),
             (self.body_contact.is_some(), Effect::BodyContact),
-            (
-                rub && (between || within || self.body_contact.is_some()),
-                Effect::Friction,
-            ),
+            (rub && on, Effect::Friction),
         ] {
             if runs {
                 self.count(effect);
@@ -324,7 +330,7 @@ impl Engine {
             let share = 1.0 - (1.0 - self.settings.damping).powf(600.0 * dt);
             self.elastic.damp(&mut self.cloth, share);
         }
-        report.cloth_contacts += self.cloth_contact.settle(&mut self.cloth) as f64;
+        report.cloth_contacts += self.cloth_contact.settle(&mut self.cloth, dt) as f64;
         if let Some(contact) = &self.body_contact {
             report.body_contacts += contact.settle(&mut self.cloth, dt) as f64;
         }
@@ -355,7 +361,10 @@ fn bound_vertices(cloth: &Cloth, waistbands: &[Vec<u32>]) -> Result<Vec<usize>, 
     if waistbands.len() > cloth.ranges.len() {
         return Err(SimError::value(
             "waist bands",
-            format!("at most one list for each of {} garments", cloth.ranges.len()),
+            format!(
+                "at most one list for each of {} garments",
+                cloth.ranges.len()
+            ),
             waistbands.len(),
         ));
     }
@@ -373,4 +382,12 @@ fn bound_vertices(cloth: &Cloth, waistbands: &[Vec<u32>]) -> Result<Vec<usize>, 
         }
     }
     Ok(bound)
+}
+
+fn face_normals(cloth: &Cloth, normals: &mut Vec<DVec3>) {
+    normals.clear();
+    normals.extend(cloth.faces.iter().map(|face| {
+        let [a, b, c] = face.map(|v| cloth.x[v as usize]);
+        (b - a).cross(c - a).normalize_or_zero()
+    }));
 }

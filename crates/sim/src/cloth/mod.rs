@@ -26,7 +26,9 @@
 mod air;
 mod body;
 mod body_contact;
+mod closest;
 mod cloth_contact;
+mod contact;
 mod elastic;
 mod engine;
 mod physics;

@@ -11,6 +11,9 @@ pub struct EngineSettings {
     pub substeps: u32,
     /// Passes of the elastic solver a step. More: less stretch under load.
     pub iterations: u32,
+    /// Passes over the contacts a step. More: stacked layers press through each
+    /// other less.
+    pub contact_iterations: u32,
     /// Steps between searches for contact candidates. More: faster; fast
     /// relative motion is then seen late.
     pub detect_every: u32,
@@ -32,6 +35,7 @@ impl Default for EngineSettings {
         Self {
             substeps: 16,
             iterations: 2,
+            contact_iterations: 4,
             detect_every: 4,
             body_thickness_m: 0.004,
             cloth_thickness_m: 0.003,
@@ -64,6 +68,7 @@ impl EngineSettings {
         let counts = [
             ("engine.substeps", self.substeps),
             ("engine.iterations", self.iterations),
+            ("engine.contact_iterations", self.contact_iterations),
             ("engine.detect_every", self.detect_every),
         ];
         for (what, count) in counts {

@@ -70,6 +70,8 @@ fn place(x: &[DVec3], face: &[u32; 3], weights: [f64; 3]) -> (DVec3, DMat3) {
     let [a, b, c] = face.map(|v| x[v as usize]);
     let point = a * weights[0] + b * weights[1] + c * weights[2];
     let along = (b - a).normalize_or(DVec3::X);
-    let normal = (b - a).cross(c - a).normalize_or(along.any_orthonormal_vector());
+    let normal = (b - a)
+        .cross(c - a)
+        .normalize_or(along.any_orthonormal_vector());
     (point, DMat3::from_cols(along, normal.cross(along), normal))
 }
