@@ -23,7 +23,10 @@ fn level(statistics: &Statistics) -> Statistics {
         }
         level
     };
-    Statistics { vertices: columns(&statistics.vertices), root: columns(&statistics.root) }
+    Statistics {
+        vertices: columns(&statistics.vertices),
+        root: columns(&statistics.root),
+    }
 }
 
 /// RMS of `R a(x) − a(R x)` over the RMS of `a(x)`.
@@ -31,8 +34,15 @@ fn difference(config: &ModelConfig, angle_rad: f64, level_statistics: bool) -> f
     let scene = Scene::new(SceneConfig::default());
     let frames = scene.frames(12);
     let (states, collected) = states_of(&frames);
-    let statistics = if level_statistics { level(&collected) } else { collected };
-    let turned_frames: Vec<_> = frames.iter().map(|frame| turned(frame, angle_rad)).collect();
+    let statistics = if level_statistics {
+        level(&collected)
+    } else {
+        collected
+    };
+    let turned_frames: Vec<_> = frames
+        .iter()
+        .map(|frame| turned(frame, angle_rad))
+        .collect();
     let parameters = Parameters::new(config, 5).unwrap();
     let net = LayersNet::frozen(config, &parameters).unwrap();
     let run = |states: &[FrameStates]| -> Vec<f32> {
@@ -40,13 +50,22 @@ fn difference(config: &ModelConfig, angle_rad: f64, level_statistics: bool) -> f
         let sample = Sample::new(scene.outfit(), &states[2..5], &statistics, gravity);
         let step = &sample.steps[0];
         let prediction = net.forward(&sample.outfit, &statistics.vertices, &sample.state, step);
-        prediction.unwrap().acceleration.flatten_all().unwrap().to_vec1().unwrap()
+        prediction
+            .unwrap()
+            .acceleration
+            .flatten_all()
+            .unwrap()
+            .to_vec1()
+            .unwrap()
     };
     let (plain, other) = (run(&states), run(&states_of(&turned_frames).0));
     let (sin, cos) = angle_rad.sin_cos();
     let (mut error, mut size) = (0.0, 0.0);
     for (a, b) in plain.chunks_exact(3).zip(other.chunks_exact(3)) {
-        let (a, b) = ([0, 1, 2].map(|i| f64::from(a[i])), [0, 1, 2].map(|i| f64::from(b[i])));
+        let (a, b) = (
+            [0, 1, 2].map(|i| f64::from(a[i])),
+            [0, 1, 2].map(|i| f64::from(b[i])),
+        );
         let expected = [cos * a[0] - sin * a[1], sin * a[0] + cos * a[1], a[2]];
         for axis in 0..3 {
             error += (expected[axis] - b[axis]).powi(2);
@@ -58,10 +77,18 @@ fn difference(config: &ModelConfig, angle_rad: f64, level_statistics: bool) -> f
 
 #[test]
 fn turning_the_scene_turns_the_prediction_only_in_part() {
-    for (name, config) in [("default", ModelConfig::default()), ("released", ModelConfig::released())] {
-        assert_eq!(difference(&config, 0.0, false), 0.0, "{name}: no turn, no difference");
+    for (name, config) in [
+        ("default", ModelConfig::default()),
+        ("released", ModelConfig::released()),
+    ] {
+        assert_eq!(
+            difference(&config, 0.0, false),
+            0.0,
+            "{name}: no turn, no difference"
+        );
         for degrees in [15.0, 45.0, 90.0, 180.0] {
-            let [collected, level] = [false, true].map(|level| difference(&config, f64::to_radians(degrees), level));
+            let [collected, level] =
+                [false, true].map(|level| difference(&config, f64::to_radians(degrees), level));
             println!(
                 "{name}, untrained, turned by {degrees:>3}°: difference {:5.1} % of the acceleration's RMS with \
                  statistics as collected, {:5.1} % with level ones",

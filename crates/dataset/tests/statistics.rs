@@ -25,7 +25,11 @@ fn compare(found: &ColumnStatistics, table: &[f64]) {
     for column in 0..9 {
         let (mean, std) = (f64::from(found.mean[column]), f64::from(found.std[column]));
         // Positions were rounded to f32; accelerations of 0.005 keep five digits.
-        assert!((mean - table[column]).abs() < 1e-6, "mean {column}: {mean}, {}", table[column]);
+        assert!(
+            (mean - table[column]).abs() < 1e-6,
+            "mean {column}: {mean}, {}",
+            table[column]
+        );
         assert!(
             (std / table[9 + column] - 1.0).abs() < 1e-5,
             "std {column}: {std}, {}",
@@ -68,6 +72,9 @@ fn a_constant_column_has_std_1_and_its_neighbour_its_own() {
     let std = Moments::of(rows.into_iter()).std();
     assert_eq!(std[0], 1.0);
     assert!((std[1] - (8.0f64 / 9.0).sqrt()).abs() < 1e-12);
-    assert!(std[2] > 0.0 && std[2] < 1e-29, "nearly constant is not constant");
+    assert!(
+        std[2] > 0.0 && std[2] < 1e-29,
+        "nearly constant is not constant"
+    );
     assert_eq!(Moments::default().std(), [1.0; 3], "no rows at all");
 }

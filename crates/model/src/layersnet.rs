@@ -363,7 +363,12 @@ impl LayersNet {
             .enumerate()
             .map(|(index, anchor)| {
                 let r = transposed(&anchor.frame);
-                let matrix = [0, 1, 2].map(|axis| r[axis].map(|value| value * std[axis]));
+                // A vertex whose four candidates are all refused (coincident centres) takes its
+                // own patch's motion only: no mean, so not the last layer's bias either.
+                let refused =
+                    index < vertices && graph.slot_offsets[index] == graph.slot_offsets[index + 1];
+                let scale = |axis: usize| if refused { 0.0 } else { std[axis] };
+                let matrix = [0, 1, 2].map(|axis| r[axis].map(|value| value * scale(axis)));
                 RowMap {
                     index: index as u32,
                     matrix,

@@ -74,7 +74,11 @@ impl Reference {
                 let name = |part: &str| format!("raw.garment{garment}.uvgroup{panel}.{part}");
                 let ids = self.indices::<1>(&name("vertex_ids"));
                 let first = uv.len() as u32;
-                uv.extend(self.rows::<2>(&name("uv")).iter().map(|c| c.map(|x| x as f32)));
+                uv.extend(
+                    self.rows::<2>(&name("uv"))
+                        .iter()
+                        .map(|c| c.map(|x| x as f32)),
+                );
                 for face in self.indices::<3>(&name("faces")) {
                     uv_faces.push(face.map(|vertex| {
                         let at = ids.iter().position(|id| id[0] == vertex).unwrap();

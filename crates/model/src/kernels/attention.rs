@@ -524,6 +524,18 @@ impl Attention {
                 "attention: mesh, world and body lists differ in their number of receivers"
             );
         }
+        let lists = [
+            ("mesh", &edges.mesh, edges.senders),
+            ("world", &edges.world, edges.senders),
+            ("body", &edges.body, edges.rotations.len()),
+        ];
+        for (name, list, tokens) in lists {
+            if let Some(item) = list.items.iter().find(|&&item| item as usize >= tokens) {
+                candle_core::bail!(
+                    "attention: a {name} edge leads to token {item}, beyond the last of {tokens}"
+                );
+            }
+        }
         Ok(())
     }
 

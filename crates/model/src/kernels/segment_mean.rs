@@ -12,7 +12,7 @@ const EPSILON: f64 = 1e-7;
 /// Means of consecutive rows; `offsets` has one entry more than segments.
 ///
 /// # Errors
-/// Offsets that do not end at the number of rows, or a type other than f32 and f64.
+/// Offsets that do not ascend from 0 to the number of rows, or a type other than f32 and f64.
 pub fn segment_mean(x: &Tensor, offsets: Vec<u32>) -> Result<Tensor> {
     x.contiguous()?.apply_op1(SegmentMean { offsets })
 }
@@ -36,6 +36,12 @@ impl CustomOp1 for SegmentMean {
 
     fn cpu_fwd(&self, storage: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
         let (rows, width) = layout.shape().dims2()?;
+        if self.offsets.first() != Some(&0) || !self.offsets.is_sorted() {
+            candle_core::bail!(
+                "segment-mean: offsets {:?}, expected them to start at 0 and ascend",
+                self.offsets
+            );
+        }
         if self.offsets.last().map(|&last| last as usize) != Some(rows) {
             candle_core::bail!(
                 "segment-mean: {rows} rows, offsets end at {:?}",
