@@ -30,7 +30,7 @@ fn refuse(name: &str, folder: &Path, arguments: &[&str], expected: &[&str]) {
 fn missing_truncated_and_flipped_sequences_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    write_sequence(&folder.join("good.mcap"), "good", 0.0).unwrap();
+    write_sequence(&folder.join("good.mcap"), "good", 1.0).unwrap();
     let bytes = fs::read(folder.join("good.mcap")).unwrap();
     fs::write(folder.join("truncated.mcap"), &bytes[..bytes.len() / 2]).unwrap();
     let mut flipped = bytes.clone();

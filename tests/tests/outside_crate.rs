@@ -14,7 +14,7 @@ use drape_tests::{example::write_sequence, programs::release_folder};
 fn a_crate_outside_the_workspace_reads_patches_and_prints_a_sequence() {
     let folder = tempfile::tempdir().unwrap();
     let sequence = folder.path().join("example.mcap");
-    write_sequence(&sequence, "example", 0.0).unwrap();
+    write_sequence(&sequence, "example", 1.0).unwrap();
     write_crate(folder.path());
 
     let printed = cargo(
@@ -29,12 +29,11 @@ fn a_crate_outside_the_workspace_reads_patches_and_prints_a_sequence() {
         ],
     );
     assert!(
-        printed.contains("square: positions [121, 3], faces [200, 3]"),
+        printed.contains("inner: positions [108, 3], faces [192, 3]"),
         "{printed}"
     );
-    // One metre of cloth in patches of 5 cm, but faces of 10 cm: each face's centre has its own cell.
     assert!(
-        printed.contains("1 frames, body [4, 3], 200 patches"),
+        printed.contains("16 frames, body [158, 3], 156 patches"),
         "{printed}"
     );
 

@@ -1,6 +1,6 @@
 //! The whole job: data, training, table.
 
-use std::{ffi::OsString, fs, process::ExitCode};
+use std::{ffi::OsString, fs, path::Path, process::ExitCode};
 
 use anyhow::Result;
 
@@ -8,6 +8,8 @@ use crate::program::{Program, build, exit_code, start, wants_help};
 
 /// Data set that is made when no other is named.
 const DEFAULT_DATA: &str = "data/default";
+/// File that makes a folder a data set; written when all its sequences are.
+const INDEX: &str = "dataset.json";
 
 /// Makes the default data if needed, trains, prints the table of the run.
 pub fn run(args: &[OsString]) -> Result<ExitCode> {
@@ -16,15 +18,12 @@ pub fn run(args: &[OsString]) -> Result<ExitCode> {
         return start(Program::Train, args).map(exit_code);
     }
     build(&[Program::Generate, Program::Train, Program::Eval])?;
-    if uses_default_data(args)
-        && !workspace()
-            .join(DEFAULT_DATA)
-            .join("dataset.json")
-            .is_file()
-    {
+    let made = || Path::new(DEFAULT_DATA).join(INDEX).is_file();
+    if uses_default_data(args) && !made() {
         println!("{DEFAULT_DATA} is not there: making it (once; later trainings use it again)");
         let status = start(Program::Generate, &["--out".into(), DEFAULT_DATA.into()])?;
-        if !status.success() {
+        // Some sequences may have failed (their reasons are printed); the index says that the others are whole.
+        if !made() {
             return Ok(exit_code(status));
         }
     }

@@ -9,10 +9,12 @@
 //! and writes them; [`plot`] and [`pictures`] draw.
 
 pub mod contest;
+pub mod engine;
 pub mod error;
 #[cfg(test)]
 mod example;
 pub mod floors;
+pub mod intersections;
 pub mod layersnet;
 pub mod method;
 pub mod metrics;

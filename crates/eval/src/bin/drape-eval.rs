@@ -19,7 +19,8 @@ use drape_dataset::{
 };
 use drape_eval::{
     EvalError,
-    contest::{Entry, add_frames},
+    contest::{Entry, add_frames, add_note},
+    engine::EngineSeries,
     floors::{Frozen, Hold, Skinned},
     layersnet::LayersNetMethod,
     pictures::{Strip, sheet},
@@ -36,6 +37,8 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 /// Folder that holds runs.
 const RUNS: &str = "runs";
+/// The engine repeats so many sequences (four times each).
+const ENGINE_SEQUENCES: usize = 2;
 /// Contact sheets are drawn for so many different outfits.
 const SHEETS: usize = 4;
 
@@ -82,10 +85,17 @@ fn main() -> ExitCode {
 
 fn run(arguments: &Arguments) -> Result<()> {
     let stop = stop_on_ctrl_c()?;
-    let data = arguments
-        .data
-        .clone()
-        .unwrap_or_else(|| PathBuf::from("data/default"));
+    let runs = match arguments.run.as_slice() {
+        [] => vec![RunFolder::latest(Path::new(RUNS), Some(true))?],
+        paths => paths
+            .iter()
+            .map(|path| RunFolder::open(path))
+            .collect::<Result<_, _>>()?,
+    };
+    let data = match &arguments.data {
+        Some(data) => data.clone(),
+        None => runs[0].config()?.data,
+    };
     let index = DatasetIndex::load(&data)?;
     let sequences = index.split(arguments.split)?;
     let steps = usize::from(arguments.steps);
@@ -100,12 +110,17 @@ fn run(arguments: &Arguments) -> Result<()> {
         entries.push(Entry::new(Box::new(LayersNetMethod::from_run(run)?)));
     }
     let mut reference_tally = Tally::default();
+    let mut engine = EngineSeries::default();
+    let mut engine_left = if arguments.no_engine {
+        0
+    } else {
+        ENGINE_SEQUENCES
+    };
     let mut sheets = Vec::new();
     let mut outfits: Vec<&[GarmentKind]> = Vec::new();
 
     let bar = progress_bar((sequences.len() * entries.len() * steps) as u64);
-    let mut after_step = || {
-        bar.inc(1);
+    let running = || {
         if stop.load(Ordering::Relaxed) {
             Err(EvalError::Stopped)
         } else {
@@ -119,13 +134,27 @@ fn run(arguments: &Arguments) -> Result<()> {
         let mut predictions = Vec::new();
         for (number, method) in entries.iter_mut().enumerate() {
             bar.set_message(format!("{}, {}", task.header.name, method.name()));
-            let before = bar.position();
-            let rollout = method.run(&task, &reference, &mut after_step)?;
-            bar.set_position(before + steps as u64);
+            let after = bar.position() + steps as u64;
+            let rollout = method.run(&task, &reference, &mut || {
+                bar.inc(1);
+                running()
+            })?;
+            bar.set_position(after);
             if number >= floors {
                 predictions
                     .extend(rollout.map(|rollout| (method.name().to_owned(), rollout.frames)));
             }
+        }
+        if engine_left > 0 && EngineSeries::can_repeat(&task) {
+            bar.set_message(format!(
+                "{}, engine at four substep counts",
+                task.header.name
+            ));
+            engine_left -= 1;
+            engine.add(&task, &mut || {
+                bar.tick();
+                running()
+            })?;
         }
         if sheets.len() < SHEETS && !outfits.contains(&entry.garments.as_slice()) {
             outfits.push(&entry.garments);
@@ -145,14 +174,10 @@ fn run(arguments: &Arguments) -> Result<()> {
     bar.finish_and_clear();
 
     let mut notes = Vec::new();
-    let mut rows = vec![Row {
-        method: "reference".to_owned(),
-        threads: None,
-        ms_per_frame: None,
-        summary: Some(reference_tally.summary()),
-        note: None,
-    }];
+    let mut rows = vec![reference_row(&reference_tally, &engine, &mut notes)];
     rows.extend(entries.iter().map(|entry| entry.row(&mut notes)));
+    let methods = rows.len();
+    rows.extend(engine.rows(&mut notes));
     let table = Table {
         conditions: Conditions {
             data: data.display().to_string(),
@@ -172,16 +197,34 @@ fn run(arguments: &Arguments) -> Result<()> {
         .clone()
         .unwrap_or_else(|| runs[0].path().join("eval"));
     write(&out, &table)?;
-    error_against_time(&table.rows, &[])?.write_png(&out.join("plot.png"))?;
+    // The reference is what errors are measured against, not a point among them.
+    error_against_time(&table.rows[1..methods], &table.rows[methods..])?
+        .write_png(&out.join("plot.png"))?;
     for (name, picture) in &sheets {
         picture.write_png(&out.join(format!("sheet_{name}.png")))?;
     }
     println!(
-        "\nwritten: table.md, table.csv, table.json, plot.png and {} contact sheets in {}",
-        sheets.len(),
-        out.display()
+        "\nwritten to {}: table.md, table.csv, table.json, plot.png, {} contact sheet(s)",
+        out.display(),
+        sheets.len()
     );
     Ok(())
+}
+
+/// The recording itself: its collision rates, and what the engine takes for it.
+fn reference_row(tally: &Tally, engine: &EngineSeries, notes: &mut Vec<String>) -> Row {
+    let ms_per_frame = engine.recipe_ms();
+    let note = match ms_per_frame {
+        Some(_) => "time of the engine with the recording's own settings".to_owned(),
+        None => "not timed: no engine here repeats these recordings, or --no-engine".to_owned(),
+    };
+    Row {
+        method: "reference".to_owned(),
+        threads: ms_per_frame.map(|_| 1),
+        ms_per_frame,
+        summary: Some(tally.summary()),
+        note: Some(add_note(notes, note)),
+    }
 }
 
 fn write(folder: &Path, table: &Table) -> Result<()> {

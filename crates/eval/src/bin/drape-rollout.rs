@@ -19,11 +19,11 @@ use drape_dataset::{
 };
 use drape_eval::{
     EvalError,
+    intersections::count_intersections,
     layersnet::LayersNetMethod,
     method::{Rollout, roll_out},
     task::{Clip, Task},
 };
-use drape_geometry::intersect::{count_between, count_within};
 use drape_train::run::RunFolder;
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -139,7 +139,7 @@ fn predicted_header(task: &Task, run: &Path) -> SequenceHeader {
     let mut header = task.header.clone();
     header.scene.warnings.push(format!(
         "predicted by the run {} from frame {} on; earlier frames are {} {}'s",
-        run.display(),
+        run.file_name().unwrap_or(run.as_os_str()).display(),
         task.start + 1,
         header.scene.engine,
         header.scene.engine_version
@@ -166,26 +166,11 @@ fn write(
     let mut dirty = 0;
     for (step, garments) in rollout.frames.iter().enumerate() {
         let mut frame = task.frame_with(step, garments.clone());
-        let found = intersections(header, &frame);
+        let found = count_intersections(header, &frame);
         dirty += usize::from(found != Intersections::default());
         frame.intersections = Some(found);
         writer.push(&frame)?;
     }
     writer.finish()?;
     Ok(dirty)
-}
-
-fn intersections(header: &SequenceHeader, frame: &Frame) -> Intersections {
-    let mut found = Intersections::default();
-    let garments: Vec<_> = header.garments.iter().zip(&frame.garments).collect();
-    for (index, (garment, positions)) in garments.iter().enumerate() {
-        found.within_garments += count_within(positions, &garment.faces);
-        found.with_body +=
-            count_between(positions, &garment.faces, &frame.body, &header.body.faces);
-        for (other, others) in &garments[index + 1..] {
-            found.between_garments +=
-                count_between(positions, &garment.faces, others, &other.faces);
-        }
-    }
-    found
 }
