@@ -7,8 +7,8 @@
 //! | number | range | meaning | SI range |
 //! |---|---|---|---|
 //! | mass | 0.2–0.8 | areal density, 0.5 kg/m² per unit | 0.1–0.4 kg/m² (shirt to denim) |
-//! | tension | 15–100 | membrane stiffness when stretched, 10 N/m per unit | 150–1000 N/m |
-//! | compression | 15–100 | the same when compressed, 3 N/m per unit: cloth buckles below the mesh's size | 45–300 N/m |
+//! | tension | 15–100 | membrane stiffness when stretched, 50 N/m per unit | 750–5000 N/m |
+//! | compression | 15–100 | the same when compressed, 15 N/m per unit: cloth buckles below the mesh's size | 225–1500 N/m |
 //! | shear | 15–100 | shear stiffness on top of what stretching gives, 0.5 N/m per unit | 7.5–50 N/m |
 //! | bending | 15–100 | flexural rigidity, 1e-6 N·m per unit | 1.5e-5–1e-4 N·m |
 //! | friction | 40–80 | Coulomb coefficient, 0.01 per unit | 0.4–0.8 |
@@ -61,8 +61,8 @@ impl Cloth {
         }
         Ok(Self {
             density: 0.5 * mass,
-            tension: 10.0 * check("tension", material.tension)?,
-            compression: 3.0 * check("compression", material.compression)?,
+            tension: 50.0 * check("tension", material.tension)?,
+            compression: 15.0 * check("compression", material.compression)?,
             shear: 0.5 * check("shear", material.shear)?,
             bending: 1e-6 * check("bending", material.bending)?,
             friction: friction(check("friction", material.friction)? as f32),

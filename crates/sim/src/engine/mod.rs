@@ -49,7 +49,8 @@ use glam::DVec3;
 
 use bending::Bending;
 use body_contact::BodyContact;
-use contact::pair::Features;
+use contact::certificate::Certificate;
+use contact::pair::{Features, Pair};
 use contact::search::{Surfaces, candidate};
 use contact::solve::PushOut;
 use contact::tubes::Tubes;
@@ -79,6 +80,10 @@ pub struct StepReport {
     pub contacts: usize,
     /// Cloth vertices inside the body at the last search.
     pub inside_body: usize,
+    /// Pairs that had to be moved apart because they were about to cross.
+    pub repaired: u64,
+    /// Pairs that may have crossed all the same: count intersections.
+    pub uncertified: u64,
     /// Greatest speed of a cloth vertex at the end, m/s.
     pub top_speed_m_s: f64,
 }
@@ -113,6 +118,7 @@ struct Contacts {
     body: Option<BodyContact>,
     layer: Option<LayerContact>,
     own: Option<SelfContact>,
+    certificate: Certificate,
 }
 
 impl Engine {
@@ -172,6 +178,7 @@ impl Engine {
         let contacts = (body.is_some() || layer.is_some() || own.is_some()).then(|| Contacts {
             surfaces: Surfaces::new(&fabric, body_faces, &state),
             tubes: Tubes::new(&state),
+            certificate: Certificate::new(state.x.len()),
             body,
             layer,
             own,
@@ -354,6 +361,11 @@ impl Engine {
                 }
             }
         }
+        if let Some(contacts) = &mut self.contacts {
+            let outcome = contacts.certify(state);
+            report.repaired += u64::from(outcome.failed);
+            report.uncertified += u64::from(outcome.left);
+        }
         state.finish(h);
         if let Some(contacts) = &mut self.contacts {
             for list in contacts.lists_mut() {
@@ -456,6 +468,21 @@ impl Contacts {
                 list.look(state, now, push);
             }
         }
+    }
+
+    /// Moves what is about to cross.
+    fn certify(&mut self, state: &mut State) -> contact::certificate::Outcome {
+        let own = self.own.as_ref().map(|own| &own.list);
+        let layer = self.layer.as_ref().map(|layer| &layer.list);
+        let body = self.body.as_ref().map(|body| &body.list);
+        let lists = own.into_iter().chain(layer).chain(body);
+        let clean = lists.flat_map(|list| {
+            list.clean
+                .iter()
+                .map(|&number| &list.pairs[number as usize])
+        });
+        let pairs: Vec<&Pair> = clean.collect();
+        self.certificate.certify(&pairs, state)
     }
 
     fn lists(&self) -> impl Iterator<Item = &contact::PairList> {

@@ -3,8 +3,8 @@
 //! A tube is a straight line, position plus velocity, with a radius that grows
 //! by `radius` in every substep: 1.5 times what the vertex recently deviated
 //! from its line, between 0.15 and 2 mm. The body moves linearly within a
-//! frame, its tubes have radius 0. A vertex that leaves its tube calls for a
-//! new search.
+//! frame, its tubes have radius 0. A vertex that is further out of its tube
+//! than [`SLACK_M`], a fraction of every thickness, calls for a new search.
 
 use glam::DVec3;
 
@@ -14,6 +14,8 @@ use crate::engine::state::State;
 const NARROWEST_M: f64 = 0.15e-3;
 /// Widest growth of a tube, m per substep.
 const WIDEST_M: f64 = 2e-3;
+/// A vertex may be this far out of its tube.
+const SLACK_M: f64 = 1e-3;
 
 /// Tubes of all vertices.
 #[derive(Clone, Debug)]
@@ -79,7 +81,7 @@ impl Tubes {
             let line = self.start[i] + count * self.step[i];
             let deviation = state.x[i].distance(line) / count;
             self.deviation[i] = self.deviation[i].max(deviation);
-            left |= deviation > self.radius[i];
+            left |= (deviation - self.radius[i]) * count > SLACK_M;
         }
         if left {
             self.age = None;
