@@ -196,8 +196,8 @@ impl Motion {
             }
             4 => {
                 movements.push(Movement::Squat {
-                    knee_deg: rng.random_range(45.0..75.0),
-                    period_s: rng.random_range(1.4..2.0),
+                    knee_deg: rng.random_range(50.0..80.0),
+                    period_s: rng.random_range(1.2..1.7),
                     phase: rng.random_range(0.0..1.0),
                 });
                 if rng.random_bool(0.5) {
@@ -206,20 +206,20 @@ impl Motion {
             }
             _ => {
                 movements.push(Movement::Bow {
-                    angle_deg: rng.random_range(20.0..38.0),
-                    period_s: rng.random_range(1.5..2.1),
+                    angle_deg: rng.random_range(28.0..42.0),
+                    period_s: rng.random_range(1.2..1.7),
                     phase: rng.random_range(0.0..1.0),
                 });
                 movements.push(Movement::Twist {
-                    angle_deg: rng.random_range(12.0..25.0),
-                    period_s: rng.random_range(1.3..1.9),
+                    angle_deg: rng.random_range(18.0..30.0),
+                    period_s: rng.random_range(1.1..1.6),
                     phase: rng.random_range(0.0..1.0),
                 });
             }
         }
         Self {
             movements,
-            arms_down_deg: rng.random_range(4.0..14.0),
+            arms_down_deg: rng.random_range(0.0..10.0),
         }
     }
 
@@ -332,6 +332,7 @@ impl Movement {
                 for (side, limbs) in angles.limbs.iter_mut().enumerate() {
                     let at = at + if side == 0 { 0.0 } else { TAU / 2.0 };
                     limbs.hip_flexion += stride * at.sin() + 0.3 * stride;
+                    limbs.hip_abduction += 0.04;
                     // The knee bends while the thigh comes forward.
                     let bend = 0.5 + 0.5 * (at + 0.25).cos();
                     limbs.knee_flexion += 0.15 + 1.9 * stride * bend * bend;

@@ -133,7 +133,9 @@ impl Flat {
     pub fn flipped(&self) -> usize {
         let area = |f: &&[u32; 3]| {
             let [a, b, c] = f.map(|v| self.uv[v as usize]);
-            (b - a).perp_dot(c - a) <= 0.0
+            // Written so that NaN counts as flipped.
+            let upright = (b - a).perp_dot(c - a) > 0.0;
+            !upright
         };
         self.faces.iter().filter(area).count()
     }

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use drape_dataset::registry::GarmentKind;
 use drape_dataset::sequence::{Garment, Material};
 use drape_geometry::intersect;
+use drape_geometry::vector::distance2;
 use glam::{DQuat, DVec2, DVec3};
 
 use super::anatomy::Anatomy;
@@ -23,6 +24,11 @@ pub const METRES_PER_UV: f64 = 2.5;
 const SCALE: f64 = 10.0;
 /// Distance between the fields of two layers, in units.
 const LAYER_GAP: f64 = 0.14;
+
+/// Edge lengths that are tried in turn, as multiples of the one asked for.
+const EDGE_SCALES: [f64; 5] = [1.0, 0.97, 1.03, 0.94, 1.06];
+/// Shortest edge allowed, as a multiple of the target.
+const SHORTEST_EDGE: f64 = 0.1;
 
 /// What to make.
 #[derive(Clone, Debug)]
@@ -89,8 +95,17 @@ impl Outfit {
         for (layer, (parameters, material)) in request.garments.iter().enumerate() {
             let made = pattern(parameters, &anatomy, &distance, inner.as_ref(), LAYER_GAP)?;
             let name = name(parameters.kind);
-            let (garment, waistband) = sew(&made, name, parameters.kind, layer, *material, edge)?;
-            outfit.check(body, &garment)?;
+            let attempt = |scale: f64| {
+                let made = sew(&made, name, parameters.kind, layer, *material, scale * edge)?;
+                outfit.check(body, &made.0, edge)?;
+                Ok(made)
+            };
+            // A remeshing that comes out crooked somewhere does not do so at another edge length.
+            let (garment, waistband) = EDGE_SCALES[1..]
+                .iter()
+                .fold(attempt(EDGE_SCALES[0]), |made, &scale| {
+                    made.or_else(|_: SimError| attempt(scale))
+                })?;
             outfit.garments.push(garment);
             outfit.waistbands.push(waistband);
             inner = Some(made.field);
@@ -98,7 +113,18 @@ impl Outfit {
         Ok(outfit)
     }
 
-    fn check(&self, body: &Body, garment: &Garment) -> Result<()> {
+    fn check(&self, body: &Body, garment: &Garment, edge: f64) -> Result<()> {
+        let shortest = garment
+            .faces
+            .iter()
+            .flat_map(|f| (0..3).map(move |k| [f[k], f[(k + 1) % 3]]))
+            .map(|e| distance2(garment.rest[e[0] as usize], garment.rest[e[1] as usize]))
+            .fold(f32::INFINITY, f32::min)
+            .sqrt();
+        if f64::from(shortest) < SHORTEST_EDGE * edge {
+            let reason = format!("an edge of {shortest:.4} units, too short for the mesh");
+            return Err(SimError::fit(&garment.name, reason));
+        }
         let problem = |count: u32, with: &str| {
             if count == 0 {
                 return Ok(());
@@ -108,7 +134,6 @@ impl Outfit {
                 format!("{count} intersections with {with}"),
             ))
         };
-        for h in intersect::hits_within(&garment.rest, &garment.faces) { eprintln!("DBG {} {:?} {:?} {:?}", garment.name, garment.rest[h.edge[0] as usize], garment.rest[h.edge[1] as usize], garment.faces[h.face as usize].map(|v| garment.rest[v as usize])); }
         problem(
             intersect::count_within(&garment.rest, &garment.faces),
             "itself",
@@ -170,7 +195,6 @@ fn sew(
         let back = label & 1 == 1;
         let start = |p: DVec3| DVec2::new(if back { -p.x } else { p.x }, p.z);
         let flat = flatten(&surface.positions, &faces, &start);
-        for f in &flat.faces { let [a,b,c] = f.map(|v| flat.uv[v as usize]); if (b-a).perp_dot(c-a) <= 0. { eprintln!("FLIP {name} {:?}", f.map(|v| surface.positions[flat.vertices[v as usize] as usize])); } }
         if flat.flipped() > 0 {
             let found = format!(
                 "{} triangles of a panel cannot be laid flat",

@@ -194,25 +194,41 @@ impl Remesher<'_> {
         } else {
             self.p(b)
         };
+        // Against the field's normal, not the old face's: slivers have none to speak of.
+        // A place that is folded already may stay as bad as it is.
+        let bad = |q: [DVec3; 3]| {
+            let n = (q[1] - q[0]).cross(q[2] - q[0]);
+            let outward = self
+                .field
+                .gradient((q[0] + q[1] + q[2]) / 3.0)
+                .normalize_or_zero();
+            n.length() < 1e-4 * self.edge * self.edge || n.dot(outward) < 0.3 * n.length()
+        };
         let limit = 1.3 * self.edge;
+        let (mut before, mut after) = (0, 0);
         for (v, other) in [(a, b), (b, a)] {
             for &f in &self.around[v as usize] {
                 let face = self.mesh.faces[f as usize];
+                let old = face.map(|w| self.p(w));
                 if face.contains(&other) {
+                    before += usize::from(v == a && bad(old));
                     continue;
                 }
                 let q = face.map(|w| if w == v { target } else { self.p(w) });
-                let new = (q[1] - q[0]).cross(q[2] - q[0]);
-                let old = self.normal(face);
-                let old_shape = old.length();
-                let flat = new.length() < 1e-4 * self.edge * self.edge;
-                if flat || (old_shape > 1e-9 && new.dot(old) < 0.3 * new.length() * old_shape) {
-                    return false;
-                }
-                if (0..3).any(|k| q[k].distance(q[(k + 1) % 3]) > limit) {
+                before += usize::from(bad(old));
+                after += usize::from(bad(q));
+                let longest = |q: [DVec3; 3]| {
+                    (0..3)
+                        .map(|k| q[k].distance(q[(k + 1) % 3]))
+                        .fold(0.0, f64::max)
+                };
+                if longest(q) > limit.max(longest(old)) {
                     return false;
                 }
             }
+        }
+        if after > 0 && after >= before {
+            return false;
         }
         for f in shared {
             self.alive[f as usize] = false;
@@ -259,7 +275,11 @@ impl Remesher<'_> {
             };
             let before: i32 = [a, b, c, d].iter().map(|&v| excess(v, 0)).sum();
             let after = excess(a, -1) + excess(b, -1) + excess(c, 1) + excess(d, 1);
-            if after >= before {
+            // A face with all corners on one cut is a sliver: its inner edge goes.
+            let ear = |v: u32| self.mask(a) & self.mask(b) & self.mask(v) != 0;
+            let new_ear = |v: u32| self.mask(c) & self.mask(d) & self.mask(v) != 0;
+            let was_ear = ear(c) || ear(d);
+            if new_ear(a) || new_ear(b) || (after >= before && !was_ear) {
                 continue;
             }
             // Keep the order of shared[0], in which a → b or b → a.
@@ -271,7 +291,8 @@ impl Remesher<'_> {
                 .normalize_or_zero();
             let fair = |f: [u32; 3]| {
                 let n = self.normal(f);
-                n.dot(old) > 0.6 * n.length() && n.length() > 0.15 * self.edge * self.edge * 0.5
+                let least = if was_ear { 0.0 } else { 0.075 };
+                n.dot(old) > 0.6 * n.length() && n.length() > least * self.edge * self.edge
             };
             if !fair(n0) || !fair(n1) {
                 continue;
