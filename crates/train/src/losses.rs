@@ -118,6 +118,9 @@ pub struct LossValues {
     pub body_collision: f64,
     /// Layer collision, weighted.
     pub layer_collision: f64,
+    /// Position loss of predicting no acceleration (x + v), with the position
+    /// loss's weight: not part of the total, but what it has to beat.
+    pub hold: f64,
 }
 
 impl LossValues {
@@ -133,6 +136,7 @@ impl LossValues {
         self.normal += weight * other.normal;
         self.body_collision += weight * other.body_collision;
         self.layer_collision += weight * other.layer_collision;
+        self.hold += weight * other.hold;
     }
 
     /// Name of the first term that is not finite.

@@ -11,7 +11,7 @@ use drape_model::{LayersNet, Parameters, Prediction};
 
 use crate::adam::Gradients;
 use crate::error::Result;
-use crate::losses::{LossConfig, LossValues, all_terms, integrate};
+use crate::losses::{LossConfig, LossValues, all_terms, integrate, squared_error};
 
 /// Predicted states `[pos, vel]` of a step, and the accelerations `[vertex · 3]`.
 pub fn advance(states: &[StatePair], accelerations: &[f32]) -> Vec<State> {
@@ -90,7 +90,8 @@ pub fn sample_gradient(
         &prediction.graph.patch_states,
         &values(&prediction.patch_acceleration)?,
     );
-    let (losses, by_vertex, by_patch) = all_terms(
+    let weight = losses.position;
+    let (mut losses, by_vertex, by_patch) = all_terms(
         losses,
         &sample.outfit,
         step,
@@ -99,6 +100,12 @@ pub fn sample_gradient(
         reference,
         with_collisions,
     );
+    let truth: Vec<[f64; 3]> = reference
+        .iter()
+        .map(|row| [0, 1, 2].map(|axis| f64::from(row[axis])))
+        .collect();
+    let held = integrate(state, &vec![0.0; 3 * state.len()]);
+    losses.hold = weight * squared_error(&held, &truth).value;
     // The losses' gradients are known, so a linear form with these coefficients
     // carries them into the graph.
     let form = |output: &candle_core::Tensor,

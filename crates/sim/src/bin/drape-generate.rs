@@ -12,7 +12,7 @@ use drape_dataset::sequence::{Frame, SequenceHeader};
 use drape_dataset::splits::{DatasetIndex, INDEX_FILE, Split};
 use drape_dataset::{SequenceReader, SequenceWriter};
 use drape_sim::SimError;
-use drape_sim::cloth::EngineSettings;
+use drape_sim::engine::EngineSettings;
 use drape_sim::scene::{Recipe, SceneRanges, simulate};
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::recipe::{Recipe, RecipeGarment};
 use super::wind;
 use crate::body::ShapeRanges;
-use crate::cloth::EngineSettings;
+use crate::engine::EngineSettings;
 use crate::error::{Result, SimError};
 use crate::garment::GarmentParameters;
 use crate::motion::{LeadIn, Motion};

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::wind::WindPivot;
 use crate::body::Shape;
-use crate::cloth::EngineSettings;
+use crate::engine::EngineSettings;
 use crate::error::{Result, SimError};
 use crate::garment::GarmentParameters;
 use crate::motion::{LeadIn, Motion};

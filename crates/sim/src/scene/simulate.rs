@@ -15,7 +15,7 @@ use super::effects::active_effects;
 use super::recipe::Recipe;
 use super::wind::wind_at;
 use crate::body::{Body, Pose, ShapedBody};
-use crate::cloth::{Engine, ScenePhysics};
+use crate::engine::{Engine, ScenePhysics};
 use crate::error::{Result, SimError};
 use crate::garment::{METRES_PER_UV, Outfit, OutfitRequest, fitting_pose};
 

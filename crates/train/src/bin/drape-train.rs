@@ -75,10 +75,11 @@ impl Progress for Bar {
         };
         self.bar.set_position(position.updates);
         self.bar.set_message(format!(
-            "{phase} epoch {}/{}  position {:.2e} patch {:.2e} normal {:.2e} body {:.1e} layer {:.1e}  {:.1} samples/s",
+            "{phase} epoch {}/{}  position {:.2e} ({:.2} of hold) patch {:.2e} normal {:.2e} body {:.1e} layer {:.1e}  {:.1} samples/s",
             position.epoch + 1,
             config.schedule.epochs,
             losses.position,
+            losses.position / losses.hold.max(f64::MIN_POSITIVE),
             losses.patch,
             losses.normal,
             losses.body_collision,
