@@ -106,7 +106,7 @@ fn strided_inputs_give_the_same() {
 
 #[test]
 fn what_does_not_fit_is_refused_by_name() {
-    let [x, w, b] = sizes();
+    let [x, w, _] = sizes();
     let message = product(&x, &random("w", (4, 6))).unwrap_err().to_string();
     assert!(message.contains("x is [5, 7], weight [4, 6]"), "{message}");
     let message = linear(&x, &w, &random("b", 3), Activation::None)
