@@ -1,6 +1,6 @@
 //! Landmarks of a fitted body that patterns refer to, in units.
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 
 use super::field::{ramp, vector};
 use super::sections::Sections;
@@ -21,8 +21,8 @@ pub(super) struct Anatomy {
     pub armpit: DVec3,
     pub waist_z: f64,
     pub crotch_z: f64,
-    /// Half the neck's width.
-    pub neck_radius: f64,
+    /// Centre and half axes of the neck's section a little above its base.
+    pub neck_section: (DVec2, DVec2),
     /// Hulls of the trunk and both legs, without arms.
     pub trunk: Sections,
 }
@@ -49,12 +49,15 @@ impl Anatomy {
         let shoulder = at("LeftArm")?;
         let top = at("Neck")?.z;
         let hip = at("LeftUpLeg")?;
-        let neck_radius = p
-            .iter()
-            .filter(|p| (p.z - top - 0.3).abs() < 0.2)
-            .map(|p| p.x.abs())
-            .fold(0.5, f64::max)
-            .min(1.0);
+        let neck: Vec<&DVec3> = p.iter().filter(|p| (p.z - top - 0.3).abs() < 0.2).collect();
+        let extent = |f: fn(&DVec3) -> f64| neck.iter().map(|p| f(p)).fold(0.0, f64::max);
+        let (front, back) = (extent(|p| -p.y), extent(|p| p.y));
+        // The chin is not part of the neck.
+        let front = front.min(0.85 - at("Neck")?.y);
+        let neck_section = (
+            DVec2::new(0.0, 0.5 * (back - front)),
+            DVec2::new(extent(|p| p.x).min(1.0), 0.5 * (back + front)),
+        );
         let (spine, lower) = (at("Spine")?, at("LowerBack")?);
         Ok(Self {
             shoulder,
@@ -67,7 +70,7 @@ impl Anatomy {
             armpit: shoulder + DVec3::new(0.05, 0.0, -0.65),
             waist_z: 0.5 * (spine.z + lower.z),
             crotch_z: hip.z - 0.75,
-            neck_radius,
+            neck_section,
             trunk: Sections::cut(&p, body.faces(), &chosen, 0.0, 0.15, (top / 0.15) as usize),
         })
     }

@@ -43,7 +43,12 @@ impl Field {
         };
         for f in faces {
             let t = f.map(|v| p[v as usize]);
+            let centre = (t[0] + t[1] + t[2]) / 3.0;
+            let radius = t.iter().map(|x| x.distance(centre)).fold(0.0, f64::max);
             field.near(t, BAND, |node, at| {
+                if at.distance_squared(centre) > (*node + radius).powi(2) {
+                    return;
+                }
                 let d = point_triangle(at.to_array(), t.map(|x| x.to_array())).distance2;
                 if d < node.powi(2) {
                     *node = d.sqrt();

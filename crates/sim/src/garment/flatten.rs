@@ -4,11 +4,10 @@
 
 use glam::{DMat2, DVec2, DVec3};
 
-/// A flattened panel: its garment vertices and where they lie, in units.
+/// A flattened panel: where its vertices lie, in units, in ascending order of the garment's vertices.
 pub(super) struct Flat {
-    pub vertices: Vec<u32>,
     pub uv: Vec<DVec2>,
-    /// Corner indices into `vertices`.
+    /// Corner indices into `uv`.
     pub faces: Vec<[u32; 3]>,
 }
 
@@ -87,11 +86,9 @@ pub(super) fn flatten(
         }
         conjugate_gradients(&apply, &diagonal, &right, &mut uv);
     }
-    Flat {
-        vertices,
-        uv,
-        faces,
-    }
+    let mut flat = Flat { uv, faces };
+    flat.untangle();
+    flat
 }
 
 fn conjugate_gradients(
@@ -129,15 +126,41 @@ fn conjugate_gradients(
 }
 
 impl Flat {
+    /// Moves corners of turned-over triangles to the mean of their neighbours,
+    /// a few times: the usual cause is one sliver at a seam.
+    fn untangle(&mut self) {
+        for _ in 0..20 {
+            let turned: Vec<[u32; 3]> = self
+                .faces
+                .iter()
+                .filter(|f| self.is_turned(f))
+                .copied()
+                .collect();
+            if turned.is_empty() {
+                return;
+            }
+            for v in turned.into_iter().flatten() {
+                let (mut sum, mut count) = (DVec2::ZERO, 0.0);
+                for f in self.faces.iter().filter(|f| f.contains(&v)) {
+                    for &w in f.iter().filter(|&&w| w != v) {
+                        sum += self.uv[w as usize];
+                        count += 1.0;
+                    }
+                }
+                let at = &mut self.uv[v as usize];
+                *at = at.lerp(sum / count, 0.3);
+            }
+        }
+    }
+
+    fn is_turned(&self, f: &[u32; 3]) -> bool {
+        let [a, b, c] = f.map(|v| self.uv[v as usize]);
+        (b - a).perp_dot(c - a) <= 0.0
+    }
+
     /// Triangles that are turned over or have lost their area.
     pub fn flipped(&self) -> usize {
-        let area = |f: &&[u32; 3]| {
-            let [a, b, c] = f.map(|v| self.uv[v as usize]);
-            // Written so that NaN counts as flipped.
-            let upright = (b - a).perp_dot(c - a) > 0.0;
-            !upright
-        };
-        self.faces.iter().filter(area).count()
+        self.faces.iter().filter(|f| self.is_turned(f)).count()
     }
 
     fn bounds(&self) -> (DVec2, DVec2) {

@@ -180,12 +180,12 @@ fn sew(
     }
     surface.keep_features();
     let cuts: Vec<&Cut> = made.removed.iter().chain(&made.seams).collect();
-    let mut surface = remesh(surface, &made.field, &cuts, edge, 8);
+    let surface = remesh(surface, &made.field, &cuts, edge, 8);
     if surface.faces.is_empty() {
         return Err(SimError::fit(name, "nothing is left of it"));
     }
     // Labels of sides that share a seam: left and right pieces become panels of their own.
-    let pieces = connected_pieces(&mut surface, first_seam);
+    let pieces = connected_pieces(&surface);
     let mut panels = Vec::new();
     let mut names = Vec::new();
     let mut panel_of_face = vec![0; surface.faces.len()];
@@ -256,7 +256,7 @@ fn sew(
 }
 
 /// Connected sets of faces of one label, in order of their first face.
-fn connected_pieces(surface: &mut Surface, _first_seam: u32) -> Vec<Vec<u32>> {
+fn connected_pieces(surface: &Surface) -> Vec<Vec<u32>> {
     let mut around = vec![Vec::new(); surface.positions.len()];
     for (i, f) in surface.faces.iter().enumerate() {
         f.iter().for_each(|&v| around[v as usize].push(i as u32));

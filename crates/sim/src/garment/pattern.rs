@@ -153,16 +153,16 @@ pub(super) fn pattern(
     if upper {
         // An elliptic hole around the neck, wider for outer kinds and towards the throat.
         let neck = a.neck;
-        let wide = a.neck_radius
-            + if spec.kind == GarmentKind::TShirt {
-                0.28
-            } else {
-                0.42
-            };
-        let centre = DVec2::new(0.0, neck.y - 0.4);
+        let (centre, half) = a.neck_section;
+        let wide = if spec.kind == GarmentKind::TShirt {
+            0.32
+        } else {
+            0.46
+        };
+        let half = half + DVec2::splat(wide);
         removed.push(Box::new(move |p| {
-            let q = (p.truncate() - centre) / DVec2::new(1.0, 1.05);
-            (wide - q.length()).min(p.z - neck.z + 1.6)
+            let q = (p.truncate() - centre) / half;
+            (half.x * (1.0 - q.length())).min(p.z - neck.z + 1.6)
         }));
         let (arm, sleeve) = (Arc::clone(a), spec.sleeve);
         let at_armhole = a.shoulder.x - 0.05;
