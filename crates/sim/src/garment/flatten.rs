@@ -45,9 +45,9 @@ pub(super) fn flatten(
             let (u, v) = (q[(k + 1) % 3] - q[k], q[(k + 2) % 3] - q[k]);
             (u.dot(v) / u.perp_dot(v).abs().max(1e-9)).clamp(0.05, 10.0)
         });
-        for k in 0..3 {
-            diagonal[f[(k + 1) % 3] as usize] += w[k];
-            diagonal[f[(k + 2) % 3] as usize] += w[k];
+        for (k, w) in w.into_iter().enumerate() {
+            diagonal[f[(k + 1) % 3] as usize] += w;
+            diagonal[f[(k + 2) % 3] as usize] += w;
         }
         flat.push(q);
         weight.push(w);
@@ -55,9 +55,9 @@ pub(super) fn flatten(
     let apply = |x: &[DVec2]| -> Vec<DVec2> {
         let mut y: Vec<DVec2> = x.iter().map(|p| *p * 1e-9).collect();
         for (f, w) in faces.iter().zip(&weight) {
-            for k in 0..3 {
+            for (k, w) in w.iter().enumerate() {
                 let (i, j) = (f[(k + 1) % 3] as usize, f[(k + 2) % 3] as usize);
-                let d = (x[i] - x[j]) * w[k];
+                let d = (x[i] - x[j]) * *w;
                 y[i] += d;
                 y[j] -= d;
             }
@@ -69,17 +69,17 @@ pub(super) fn flatten(
         for ((f, q), w) in faces.iter().zip(&flat).zip(&weight) {
             // Closest rotation of the weighted cross covariance.
             let mut m = DMat2::ZERO;
-            for k in 0..3 {
+            for (k, w) in w.iter().enumerate() {
                 let (i, j) = ((k + 1) % 3, (k + 2) % 3);
                 let e = q[i] - q[j];
                 let u = uv[f[i] as usize] - uv[f[j] as usize];
-                m += DMat2::from_cols(u * e.x, u * e.y) * w[k];
+                m += DMat2::from_cols(u * e.x, u * e.y) * *w;
             }
             let turn =
                 DVec2::new(m.x_axis.x + m.y_axis.y, m.x_axis.y - m.y_axis.x).normalize_or(DVec2::X);
-            for k in 0..3 {
+            for (k, w) in w.iter().enumerate() {
                 let (i, j) = ((k + 1) % 3, (k + 2) % 3);
-                let e = turn.rotate(q[i] - q[j]) * w[k];
+                let e = turn.rotate(q[i] - q[j]) * *w;
                 right[f[i] as usize] += e;
                 right[f[j] as usize] -= e;
             }

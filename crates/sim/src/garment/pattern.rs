@@ -162,7 +162,7 @@ pub(super) fn pattern(
         let half = half + DVec2::splat(wide);
         removed.push(Box::new(move |p| {
             let q = (p.truncate() - centre) / half;
-            (half.x * (1.0 - q.length())).min(p.z - neck.z + 1.6)
+            (half.x * (1.0 - q.length())).min(p.z - neck.z + 2.2)
         }));
         let (arm, sleeve) = (Arc::clone(a), spec.sleeve);
         let at_armhole = a.shoulder.x - 0.05;
