@@ -10,7 +10,7 @@ use drape_geometry::closest::point_triangle;
 use glam::DVec3;
 
 /// Beyond this distance from the body (units) the signed distance is clamped.
-const BAND: f64 = 0.8;
+pub(super) const BAND: f64 = 0.8;
 
 /// Values at the nodes of a regular grid.
 #[derive(Clone, Debug)]

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 use super::anatomy::Anatomy;
-use super::field::{Field, ramp, smooth_min};
+use super::field::{BAND, Field, ramp, smooth_min};
 use super::surface::Cut;
 use crate::error::{Result, SimError};
 
@@ -83,13 +83,21 @@ pub(super) fn pattern(
     // Tube and ease above the armpits fade out: shoulders carry the cloth.
     let own = |i: usize, p: DVec3| -> f64 {
         let distance = body.values[i];
+        // Distances are cut off at the band: what lies beyond is outside, however much room is asked for.
+        let off_skin = |room: f64| {
+            if distance < BAND {
+                distance - room
+            } else {
+                (distance - room).max(0.3)
+            }
+        };
         let free = ramp(a.armpit.z + 0.2, a.armpit.z - 1.6, p.z);
         let fall = (a.waist_z - p.z).max(0.0);
         match spec.kind {
             GarmentKind::Pants => {
                 let below = ramp(a.waist_z, a.crotch_z, p.z);
                 let leg = (a.hip.z - 0.5 - p.z).max(0.0);
-                distance - OFFSET - ease * below * 0.6 - (spec.flare * leg).min(0.45)
+                off_skin(OFFSET + ease * below * 0.6 + (spec.flare * leg).min(0.45))
             }
             GarmentKind::Skirt => {
                 let room =
@@ -99,7 +107,8 @@ pub(super) fn pattern(
             _ => {
                 let arm = ramp(-0.2, 0.5, a.arm_side(p));
                 let sleeve_ease = (0.35 * ease + 0.06) * ramp(-0.2, 1.4, a.along_arm(p));
-                let skin = distance - OFFSET - (1.0 - arm) * 0.4 * ease * free - arm * sleeve_ease;
+                let skin =
+                    off_skin(OFFSET + (1.0 - arm) * 0.4 * ease * free + arm * sleeve_ease);
                 let fade = 1.5 * (p.z - a.armpit.z + 0.3).max(0.0);
                 let flare = if hangs { spec.flare * fall } else { 0.0 };
                 let room = OFFSET + ease * free + flare;
