@@ -20,7 +20,6 @@ struct Hinge {
     weights: [f64; 4],
     rest: f64,
     stiffness: f64,
-    lambda: f64,
 }
 
 /// All hinges of an outfit.
@@ -49,23 +48,15 @@ impl Bending {
                 weights,
                 rest: bend.dot(normal(&rest)),
                 stiffness: 3.0 * fabric.cloth_of(a).bending / area,
-                lambda: 0.0,
             });
         }
         Self { hinges, damping_s }
     }
 
-    /// Starts a substep.
-    pub fn reset(&mut self) {
-        for hinge in &mut self.hinges {
-            hinge.lambda = 0.0;
-        }
-    }
-
-    /// One pass over all hinges.
-    pub fn solve(&mut self, state: &mut State, h: f64) {
+    /// The one pass of a substep over all hinges.
+    pub fn solve(&self, state: &mut State, h: f64) {
         let damping = self.damping_s / h;
-        for hinge in &mut self.hinges {
+        for hinge in &self.hinges {
             let corners = hinge.corners.map(|v| v as usize);
             let p = corners.map(|i| state.p[i]);
             let x = corners.map(|i| state.x[i]);
@@ -86,9 +77,7 @@ impl Bending {
                 w += weight * weight * state.w[i];
             }
             let s = hinge.stiffness * h * h;
-            let lambda =
-                -(s * (error + damping * moved) + hinge.lambda) / (1.0 + s * (1.0 + damping) * w);
-            hinge.lambda += lambda;
+            let lambda = -(s * (error + damping * moved)) / (1.0 + s * (1.0 + damping) * w);
             for (weight, &i) in hinge.weights.iter().zip(&corners) {
                 state.p[i] += (state.w[i] * lambda * weight) * along;
             }

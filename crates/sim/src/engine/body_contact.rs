@@ -60,53 +60,52 @@ impl BodyContact {
         }
         let inside = &self.inside;
         let pairs = &mut self.list.pairs;
-        for v in state.cloth as u32..state.x.len() as u32 {
-            surfaces.cloth_faces_near(fabric, v, thickness, &mut |vertices| {
-                if vertices[1..].iter().any(|&v| inside[v as usize]) {
-                    return;
-                }
-                let found = candidate(
-                    vertices,
-                    Features::VertexFace,
-                    thickness,
-                    state,
-                    tubes,
-                    substeps,
-                );
-                if let Some(found) = found {
-                    let out = found.separation.d.dot(surfaces.normals[v as usize]);
-                    let pokes = found.separation.interior
-                        && found.distance < POKE_M
-                        && out > 0.5 * found.distance;
-                    pairs.push(found.pair(thickness, friction, pokes, now));
-                }
-            });
-        }
-        for e in 0..fabric.edges.len() {
-            if fabric.edges[e].iter().any(|&v| inside[v as usize]) {
-                continue;
+        surfaces.body_vertices_and_faces(fabric, thickness, |vertices| {
+            if vertices[1..].iter().any(|&v| inside[v as usize]) {
+                return;
             }
-            surfaces.body_edges_near(fabric, e, thickness, &mut |vertices| {
-                let found = candidate(
-                    vertices,
-                    Features::EdgeEdge,
-                    thickness,
-                    state,
-                    tubes,
-                    substeps,
-                );
-                if let Some(found) = found {
-                    let normal = surfaces.normals[vertices[2] as usize]
-                        + surfaces.normals[vertices[3] as usize];
-                    let through = found.separation.interior
-                        && found.distance < POKE_M
-                        && found.separation.d.dot(normal) < -found.distance;
-                    if !through {
-                        pairs.push(found.pair(thickness, friction, false, now));
-                    }
+            let found = candidate(
+                vertices,
+                Features::VertexFace,
+                thickness,
+                state,
+                tubes,
+                substeps,
+            );
+            if let Some(found) = found {
+                let out = found
+                    .separation
+                    .d
+                    .dot(surfaces.normals[vertices[0] as usize]);
+                let pokes = found.separation.interior
+                    && found.distance < POKE_M
+                    && out > 0.5 * found.distance;
+                pairs.push(found.pair(thickness, friction, pokes, now));
+            }
+        });
+        surfaces.body_edges(fabric, thickness, |vertices| {
+            if vertices[..2].iter().any(|&v| inside[v as usize]) {
+                return;
+            }
+            let found = candidate(
+                vertices,
+                Features::EdgeEdge,
+                thickness,
+                state,
+                tubes,
+                substeps,
+            );
+            if let Some(found) = found {
+                let normal =
+                    surfaces.normals[vertices[2] as usize] + surfaces.normals[vertices[3] as usize];
+                let through = found.separation.interior
+                    && found.distance < POKE_M
+                    && found.separation.d.dot(normal) < -found.distance;
+                if !through {
+                    pairs.push(found.pair(thickness, friction, false, now));
                 }
-            });
-        }
+            }
+        });
     }
 
     fn cloth_vertex(
@@ -124,7 +123,7 @@ impl BodyContact {
         let reach = if was_inside { RESCUE_M } else { self.thickness };
         let near = &mut self.near;
         near.clear();
-        surfaces.body_faces_near(v, reach, &mut |_, vertices| {
+        surfaces.body_faces_near(v, reach, |vertices| {
             near.extend(candidate(
                 vertices,
                 Features::VertexFace,

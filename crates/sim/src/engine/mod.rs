@@ -328,27 +328,19 @@ impl Engine {
             report.contacts = contacts.lists().map(|list| list.contacts.len()).sum();
             report.inside_body = contacts.body.as_ref().map_or(0, BodyContact::inside);
         }
-        if let Some(stretch) = &mut self.stretch {
-            stretch.reset();
+        if let Some(bending) = &mut self.bending {
+            passes.count(Effect::Bending);
+            bending.solve(state, h);
         }
         if let Some(shear) = &mut self.shear {
-            shear.reset();
+            passes.count(Effect::Shear);
+            shear.solve(state, h);
         }
-        if let Some(bending) = &mut self.bending {
-            bending.reset();
-        }
-        for _ in 0..settings.iterations {
-            if let Some(bending) = &mut self.bending {
-                passes.count(Effect::Bending);
-                bending.solve(state, h);
-            }
-            if let Some(shear) = &mut self.shear {
-                passes.count(Effect::Shear);
-                shear.solve(state, h);
-            }
-            if let Some(stretch) = &mut self.stretch {
+        if let Some(stretch) = &mut self.stretch {
+            stretch.reset();
+            for iteration in 0..settings.iterations {
                 passes.count(Effect::Stretch);
-                stretch.solve(state, h);
+                stretch.solve(state, h, iteration % 2 == 1);
             }
         }
         if let Some(contacts) = &mut self.contacts {
@@ -435,16 +427,12 @@ impl Contacts {
                 _ => {}
             }
         };
-        for v in 0..state.cloth as u32 {
-            surfaces.cloth_faces_near(fabric, v, reach, &mut |vertices| {
-                judge(vertices, Features::VertexFace);
-            });
-        }
-        for e in 0..fabric.edges.len() {
-            surfaces.cloth_edges_near(fabric, e, reach, &mut |vertices| {
-                judge(vertices, Features::EdgeEdge);
-            });
-        }
+        surfaces.cloth_vertices_and_faces(fabric, reach, |vertices| {
+            judge(vertices, Features::VertexFace)
+        });
+        surfaces.cloth_edges(fabric, reach, |vertices| {
+            judge(vertices, Features::EdgeEdge)
+        });
     }
 
     fn look(&mut self, state: &State, now: u32, push: PushOut, passes: &mut Passes) {

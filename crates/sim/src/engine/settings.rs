@@ -26,7 +26,7 @@ pub struct ScenePhysics {
 pub struct EngineSettings {
     /// Steps per frame. More: stiffer cloth, fewer intersections, proportionally slower. Default 15.
     pub substeps: u32,
-    /// Passes of the elastic constraints per substep. More: less stretch under load. Default 2.
+    /// Passes of the stretch springs per substep. More: less stretch under load. Default 4.
     pub iterations: u32,
     /// Passes over the contacts per substep. More: stacked layers press through each other less.
     /// Default 3.
@@ -59,7 +59,7 @@ impl Default for EngineSettings {
     fn default() -> Self {
         Self {
             substeps: 15,
-            iterations: 2,
+            iterations: 4,
             contact_iterations: 3,
             search_every: 5,
             body_thickness_m: 0.004,

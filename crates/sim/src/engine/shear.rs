@@ -19,7 +19,6 @@ struct Weave {
     v: [f64; 3],
     rest: f64,
     stiffness: f64,
-    lambda: f64,
 }
 
 /// All faces of an outfit that have area.
@@ -60,24 +59,16 @@ impl Shear {
                     v,
                     rest: 0.0,
                     stiffness: piece.cloth.shear * area,
-                    lambda: 0.0,
                 });
             }
         }
         Self { weaves, damping_s }
     }
 
-    /// Starts a substep.
-    pub fn reset(&mut self) {
-        for weave in &mut self.weaves {
-            weave.lambda = 0.0;
-        }
-    }
-
-    /// One pass over all faces.
-    pub fn solve(&mut self, state: &mut State, h: f64) {
+    /// The one pass of a substep over all faces.
+    pub fn solve(&self, state: &mut State, h: f64) {
         let damping = self.damping_s / h;
-        for weave in &mut self.weaves {
+        for weave in &self.weaves {
             let corners = weave.corners.map(|v| v as usize);
             let sum = |from: &[DVec3], weights: &[f64; 3]| {
                 weights[0] * from[corners[0]]
@@ -94,9 +85,7 @@ impl Shear {
                 moved += gradient[k].dot(state.p[i] - state.x[i]);
             }
             let s = weave.stiffness * h * h;
-            let lambda =
-                -(s * (error + damping * moved) + weave.lambda) / (1.0 + s * (1.0 + damping) * w);
-            weave.lambda += lambda;
+            let lambda = -(s * (error + damping * moved)) / (1.0 + s * (1.0 + damping) * w);
             for (k, &i) in corners.iter().enumerate() {
                 state.p[i] += (state.w[i] * lambda) * gradient[k];
             }

@@ -58,10 +58,13 @@ impl Stretch {
         }
     }
 
-    /// One pass over all springs.
-    pub fn solve(&mut self, state: &mut State, h: f64) {
+    /// One pass over all springs, forth or back: passes in turn carry
+    /// corrections both ways along the numbering.
+    pub fn solve(&mut self, state: &mut State, h: f64, back: bool) {
         let damping = self.damping_s / h;
-        for spring in &mut self.springs {
+        let count = self.springs.len();
+        for number in 0..count {
+            let spring = &mut self.springs[if back { count - 1 - number } else { number }];
             let [i, j] = spring.ends.map(|v| v as usize);
             let (wi, wj) = (state.w[i], state.w[j]);
             let d = state.p[i] - state.p[j];

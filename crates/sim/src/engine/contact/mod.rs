@@ -16,6 +16,7 @@ pub(super) mod certificate;
 pub(super) mod pair;
 pub(super) mod search;
 pub(super) mod solve;
+pub(super) mod tree;
 pub(super) mod tubes;
 
 use pair::Pair;

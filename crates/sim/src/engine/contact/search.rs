@@ -1,15 +1,15 @@
 //! Finding the pairs that can touch before the next search.
 //!
-//! Every vertex gets a box around its tube for the coming substeps, in the
-//! frame that moves with the cloth's mean velocity (walking along costs
-//! nothing). Trees over faces and edges, split once on the start positions and
-//! refitted here, give candidates; a candidate becomes a pair if its distance
-//! is no more than thickness plus what its tubes can close.
+//! Every vertex gets a moving box around its tube for the coming substeps.
+//! Trees over faces and edges, split once on the start positions and refitted
+//! here, give candidates; a candidate becomes a pair if its distance is no more
+//! than thickness plus what its tubes can close.
 
-use drape_geometry::bvh::{Aabb, Bvh};
+use drape_geometry::bvh::Aabb;
 use glam::DVec3;
 
 use super::pair::{Features, Pair, Separation, separation};
+use super::tree::{MovingBox, Tree};
 use super::tubes::Tubes;
 use crate::engine::fabric::Fabric;
 use crate::engine::state::State;
@@ -19,12 +19,16 @@ use crate::engine::state::State;
 pub(crate) struct Surfaces {
     pub body_faces: Vec<[u32; 3]>,
     pub body_edges: Vec<[u32; 2]>,
-    cloth_face_tree: Bvh,
-    cloth_edge_tree: Bvh,
-    body_face_tree: Bvh,
-    body_edge_tree: Bvh,
+    cloth_vertices: Vec<[u32; 1]>,
+    body_vertices: Vec<[u32; 1]>,
+    cloth_vertex_tree: Tree,
+    cloth_face_tree: Tree,
+    cloth_edge_tree: Tree,
+    body_vertex_tree: Tree,
+    body_face_tree: Tree,
+    body_edge_tree: Tree,
     /// Boxes around the tubes, one per vertex.
-    boxes: Vec<Aabb>,
+    boxes: Vec<MovingBox>,
     /// Outward normals of vertices at the last search, of garments turned to face outwards.
     pub normals: Vec<DVec3>,
     /// 1 for garments whose faces point away from the body, −1 for the others.
@@ -62,19 +66,22 @@ impl Candidate {
 impl Surfaces {
     pub fn new(fabric: &Fabric, body_faces: Vec<[u32; 3]>, state: &State) -> Self {
         let body_edges = drape_geometry::mesh::edges(&body_faces);
-        let boxes: Vec<Aabb> = state
-            .x
-            .iter()
-            .map(|x| Aabb::of(&[x.as_vec3().to_array()]))
+        let cloth_vertices: Vec<[u32; 1]> = (0..state.cloth as u32).map(|v| [v]).collect();
+        let body_vertices: Vec<[u32; 1]> = (state.cloth as u32..state.x.len() as u32)
+            .map(|v| [v])
             .collect();
         let mut surfaces = Self {
-            cloth_face_tree: Bvh::build(&around(&boxes, &fabric.faces)),
-            cloth_edge_tree: Bvh::build(&around(&boxes, &fabric.edges)),
-            body_face_tree: Bvh::build(&around(&boxes, &body_faces)),
-            body_edge_tree: Bvh::build(&around(&boxes, &body_edges)),
+            cloth_vertex_tree: Tree::build(&state.x, &cloth_vertices),
+            body_vertex_tree: Tree::build(&state.x, &body_vertices),
+            cloth_vertices,
+            body_vertices,
+            cloth_face_tree: Tree::build(&state.x, &fabric.faces),
+            cloth_edge_tree: Tree::build(&state.x, &fabric.edges),
+            body_face_tree: Tree::build(&state.x, &body_faces),
+            body_edge_tree: Tree::build(&state.x, &body_edges),
             body_faces,
             body_edges,
-            boxes,
+            boxes: vec![MovingBox::EMPTY; state.x.len()],
             normals: vec![DVec3::ZERO; state.x.len()],
             outward: vec![1.0; fabric.garments.len()],
         };
@@ -128,88 +135,80 @@ impl Surfaces {
     /// Brings boxes, trees and normals up to date; `substeps` until the next search.
     pub fn refit(&mut self, fabric: &Fabric, state: &State, tubes: &Tubes, substeps: f64) {
         self.measure_normals(fabric, state);
-        let mean = if state.cloth == 0 {
-            DVec3::ZERO
-        } else {
-            tubes.step[..state.cloth].iter().sum::<DVec3>() / state.cloth as f64
-        };
-        for (i, aabb) in self.boxes.iter_mut().enumerate() {
-            let start = state.x[i];
-            let end = start + (tubes.step[i] - mean) * substeps;
+        for (i, around) in self.boxes.iter_mut().enumerate() {
+            let half = 0.5 * substeps * tubes.step[i];
             // f32 boxes round by less than a micrometre at this size.
             let margin = (tubes.radius[i] * substeps + 1e-6) as f32;
-            *aabb = Aabb::of(&[start.as_vec3().to_array(), end.as_vec3().to_array()]).grown(margin);
+            *around = MovingBox {
+                middle: Aabb::of(&[(state.x[i] + half).as_vec3().to_array()]).grown(margin),
+                shift: Aabb::of(&[half.as_vec3().to_array()]),
+            };
         }
-        self.cloth_face_tree
-            .refit(&around(&self.boxes, &fabric.faces));
-        self.cloth_edge_tree
-            .refit(&around(&self.boxes, &fabric.edges));
+        self.cloth_vertex_tree
+            .refit(&self.boxes, &self.cloth_vertices);
+        self.body_vertex_tree
+            .refit(&self.boxes, &self.body_vertices);
+        self.cloth_face_tree.refit(&self.boxes, &fabric.faces);
+        self.cloth_edge_tree.refit(&self.boxes, &fabric.edges);
+        self.body_face_tree.refit(&self.boxes, &self.body_faces);
+        self.body_edge_tree.refit(&self.boxes, &self.body_edges);
+    }
+
+    /// Faces of the body near cloth vertex `v`: vertex, then the face's.
+    pub fn body_faces_near(&self, v: u32, reach: f64, mut found: impl FnMut([u32; 4])) {
         self.body_face_tree
-            .refit(&around(&self.boxes, &self.body_faces));
-        self.body_edge_tree
-            .refit(&around(&self.boxes, &self.body_edges));
+            .meeting(&self.boxes[v as usize], reach as f32, |f| {
+                let [a, b, c] = self.body_faces[f as usize];
+                found([v, a, b, c]);
+            });
     }
 
-    /// Faces of the body near cloth vertex `v`, each as a candidate.
-    pub fn body_faces_near(&self, v: u32, reach: f64, out: &mut impl FnMut(u32, [u32; 4])) {
-        let aabb = self.boxes[v as usize].grown(reach as f32);
-        self.body_face_tree.overlapping(&aabb, |f| {
-            let [a, b, c] = self.body_faces[f as usize];
-            out(f, [v, a, b, c]);
-        });
-    }
-
-    /// Cloth faces near vertex `v` (of cloth or body).
-    pub fn cloth_faces_near(
+    /// Body vertices near cloth faces: vertex, then the face's.
+    pub fn body_vertices_and_faces(
         &self,
         fabric: &Fabric,
-        v: u32,
         reach: f64,
-        out: &mut impl FnMut([u32; 4]),
+        mut found: impl FnMut([u32; 4]),
     ) {
-        let aabb = self.boxes[v as usize].grown(reach as f32);
-        self.cloth_face_tree.overlapping(&aabb, |f| {
-            let [a, b, c] = fabric.faces[f as usize];
-            if v != a && v != b && v != c {
-                out([v, a, b, c]);
-            }
-        });
+        let first = fabric.rest.len() as u32;
+        self.body_vertex_tree
+            .meeting_tree(&self.cloth_face_tree, reach as f32, |v, f| {
+                let [a, b, c] = fabric.faces[f as usize];
+                found([first + v, a, b, c]);
+            });
     }
 
-    /// Body edges near cloth edge number `e`.
-    pub fn body_edges_near(
-        &self,
-        fabric: &Fabric,
-        e: usize,
-        reach: f64,
-        out: &mut impl FnMut([u32; 4]),
-    ) {
-        let [a, b] = fabric.edges[e];
-        let aabb = self.boxes[a as usize]
-            .union(&self.boxes[b as usize])
-            .grown(reach as f32);
-        self.body_edge_tree.overlapping(&aabb, |f| {
-            let [c, d] = self.body_edges[f as usize];
-            out([a, b, c, d]);
-        });
+    /// Cloth edges near body edges: cloth's vertices, then the body's.
+    pub fn body_edges(&self, fabric: &Fabric, reach: f64, mut found: impl FnMut([u32; 4])) {
+        self.cloth_edge_tree
+            .meeting_tree(&self.body_edge_tree, reach as f32, |e, f| {
+                let ([a, b], [c, d]) = (fabric.edges[e as usize], self.body_edges[f as usize]);
+                found([a, b, c, d]);
+            });
     }
 
-    /// Cloth edges with a higher number near cloth edge number `e`.
-    pub fn cloth_edges_near(
+    /// Cloth vertices near cloth faces that they do not belong to.
+    pub fn cloth_vertices_and_faces(
         &self,
         fabric: &Fabric,
-        e: usize,
         reach: f64,
-        out: &mut impl FnMut([u32; 4]),
+        mut found: impl FnMut([u32; 4]),
     ) {
-        let [a, b] = fabric.edges[e];
-        let aabb = self.boxes[a as usize]
-            .union(&self.boxes[b as usize])
-            .grown(reach as f32);
-        self.cloth_edge_tree.overlapping(&aabb, |f| {
-            let [c, d] = fabric.edges[f as usize];
-            if f as usize > e && a != c && a != d && b != c && b != d {
-                out([a, b, c, d]);
+        self.cloth_vertex_tree
+            .meeting_tree(&self.cloth_face_tree, reach as f32, |v, f| {
+                let [a, b, c] = fabric.faces[f as usize];
+                if v != a && v != b && v != c {
+                    found([v, a, b, c]);
+                }
+            });
+    }
+
+    /// Cloth edges near each other without a common vertex.
+    pub fn cloth_edges(&self, fabric: &Fabric, reach: f64, mut found: impl FnMut([u32; 4])) {
+        self.cloth_edge_tree.meeting_itself(reach as f32, |e, f| {
+            let ([a, b], [c, d]) = (fabric.edges[e as usize], fabric.edges[f as usize]);
+            if a != c && a != d && b != c && b != d {
+                found([a, b, c, d]);
             }
         });
     }
@@ -258,15 +257,6 @@ pub(crate) fn candidate(
         distance,
         rate,
     })
-}
-
-fn around<const N: usize>(boxes: &[Aabb], features: &[[u32; N]]) -> Vec<Aabb> {
-    let union = |feature: &[u32; N]| {
-        feature
-            .iter()
-            .fold(Aabb::EMPTY, |union, &v| union.union(&boxes[v as usize]))
-    };
-    features.iter().map(union).collect()
 }
 
 fn add_normal(normals: &mut [DVec3], x: &[DVec3], face: [u32; 3], sign: f64) {

@@ -15,7 +15,7 @@ const NARROWEST_M: f64 = 0.15e-3;
 /// Widest growth of a tube, m per substep.
 const WIDEST_M: f64 = 2e-3;
 /// A vertex may be this far out of its tube.
-const SLACK_M: f64 = 1e-3;
+const SLACK_M: f64 = 1.5e-3;
 
 /// Tubes of all vertices.
 #[derive(Clone, Debug)]
