@@ -32,7 +32,9 @@ fn names(value: &toml::Value) -> Vec<String> {
     };
     let nested = |(name, value): (&String, &toml::Value)| {
         let inner = names(value).into_iter();
-        inner.map(|inner| format!("{name}.{inner}")).collect::<Vec<_>>()
+        inner
+            .map(|inner| format!("{name}.{inner}"))
+            .collect::<Vec<_>>()
     };
     table.iter().flat_map(nested).collect()
 }

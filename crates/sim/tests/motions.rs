@@ -15,9 +15,7 @@ fn motions_start_still_stay_on_the_ground_and_move_like_a_person() {
     let fps = 30.0;
     for number in 0..24 {
         let motion = Motion::sample(&mut stream(number, "motion"));
-        let poses = motion
-            .poses(&body, &shaped, &rest, fps, lead, 48)
-            .unwrap();
+        let poses = motion.poses(&body, &shaped, &rest, fps, lead, 48).unwrap();
         assert_eq!(poses.len(), 76);
         let start = shaped.pose(&rest);
         let still = shaped.pose(&poses[2]);
@@ -27,7 +25,10 @@ fn motions_start_still_stay_on_the_ground_and_move_like_a_person() {
                 .map(|(a, b)| DVec3::from(a.map(f64::from)).distance(DVec3::from(b.map(f64::from))))
                 .fold(0.0, f64::max)
         };
-        assert!(moved(&start, &still) < 1e-4, "motion {number} starts with a jump");
+        assert!(
+            moved(&start, &still) < 1e-4,
+            "motion {number} starts with a jump"
+        );
 
         let bodies: Vec<_> = poses.iter().map(|pose| shaped.pose(pose)).collect();
         for (frame, positions) in bodies.iter().enumerate() {
@@ -48,6 +49,9 @@ fn motions_start_still_stay_on_the_ground_and_move_like_a_person() {
         }
         assert!(fastest > 0.5, "motion {number} hardly moves: {fastest} m/s");
         assert!(fastest < 6.0, "motion {number}: {fastest} m/s: {motion:?}");
-        assert!(hardest < 80.0, "motion {number}: {hardest} m/s²: {motion:?}");
+        assert!(
+            hardest < 80.0,
+            "motion {number}: {hardest} m/s²: {motion:?}"
+        );
     }
 }

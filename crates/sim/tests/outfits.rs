@@ -37,8 +37,8 @@ fn drawn(count: usize) -> Vec<Outfit> {
 #[test]
 fn outfits_are_free_of_intersections_even_and_large_enough_for_the_model() {
     let body = Body::load().unwrap();
-    let outfits = drawn(8);
-    assert!(outfits.len() >= 6, "only {} of 8 fit", outfits.len());
+    let outfits = drawn(4);
+    assert!(outfits.len() >= 3, "only {} of 4 fit", outfits.len());
     for outfit in &outfits {
         let mut vertices = 0;
         for (i, garment) in outfit.garments.iter().enumerate() {
@@ -53,7 +53,11 @@ fn outfits_are_free_of_intersections_even_and_large_enough_for_the_model() {
                 assert_eq!(against(&other.rest, &other.faces), 0, "{}", other.name);
             }
             let mut used = vec![false; garment.rest.len()];
-            garment.faces.iter().flatten().for_each(|&v| used[v as usize] = true);
+            garment
+                .faces
+                .iter()
+                .flatten()
+                .for_each(|&v| used[v as usize] = true);
             assert!(used.into_iter().all(|used| used), "{}", garment.name);
             let area = |uv: bool| -> f64 {
                 let corners = |face: usize| -> [[f64; 3]; 3] {

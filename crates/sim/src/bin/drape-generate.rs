@@ -21,9 +21,6 @@ use serde::Deserialize;
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// The configuration used without --config; a copy lies in configs/generate.toml.
-const DEFAULT_CONFIG: &str = include_str!("../../../../configs/generate.toml");
-
 /// Make a data set: bodies in motion, dressed in layers, simulated by the engine.
 ///
 /// Each sequence is drawn from the configuration's ranges with its own body
@@ -36,7 +33,7 @@ const DEFAULT_CONFIG: &str = include_str!("../../../../configs/generate.toml");
 #[derive(Parser)]
 #[command(name = "drape-generate", version)]
 struct Arguments {
-    /// Configuration (TOML); without it that of configs/generate.toml
+    /// Configuration (TOML); configs/generate.toml lists the defaults
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Folder of the data set
@@ -61,15 +58,33 @@ struct Arguments {
 
 /// Configuration of a data set.
 #[derive(Clone, Debug, PartialEq, Deserialize, serde::Serialize)]
-#[serde(deny_unknown_fields)]
+#[serde(default, deny_unknown_fields)]
 struct Config {
+    /// Of everything random.
     seed: u64,
     train_sequences: usize,
+    /// Held out, drawn with streams of their own.
     test_sequences: usize,
+    /// Recorded frames of a sequence.
     frames: usize,
+    /// Draws of a sequence whose garments do not fit or that blows up.
     attempts: usize,
     scene: SceneRanges,
     engine: EngineSettings,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            train_sequences: 36,
+            test_sequences: 8,
+            frames: 48,
+            attempts: 4,
+            scene: SceneRanges::default(),
+            engine: EngineSettings::default(),
+        }
+    }
 }
 
 fn main() -> ExitCode {
@@ -137,19 +152,15 @@ fn run(arguments: &Arguments) -> Result<ExitCode> {
 }
 
 fn resolve(arguments: &Arguments) -> Result<Config> {
-    let (text, source) = match &arguments.config {
-        None => (
-            DEFAULT_CONFIG.to_string(),
-            "the built-in configuration".into(),
-        ),
-        Some(path) => (
-            std::fs::read_to_string(path)
-                .with_context(|| format!("cannot read {}", path.display()))?,
-            path.display().to_string(),
-        ),
+    let mut config = match &arguments.config {
+        None => Config::default(),
+        Some(path) => {
+            let text = std::fs::read_to_string(path)
+                .with_context(|| format!("cannot read {}", path.display()))?;
+            toml::from_str(&text)
+                .with_context(|| format!("{} is not a configuration", path.display()))?
+        }
     };
-    let mut config: Config =
-        toml::from_str(&text).with_context(|| format!("{source} is not a configuration"))?;
     if let Some(sequences) = arguments.sequences {
         ensure!(
             sequences >= 2,
@@ -393,4 +404,28 @@ fn write_index(folder: &Path, jobs: &[Job], outcomes: &[Outcome]) -> Result<()> 
     index.save()?;
     println!("index          {}", folder.join(INDEX_FILE).display());
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_committed_configuration_says_the_defaults() {
+        let text = include_str!("../../../../configs/generate.toml");
+        assert_eq!(toml::from_str::<Config>(text).unwrap(), Config::default());
+    }
+
+    #[test]
+    fn every_garment_kind_occurs_at_least_twice_among_the_held_out_sequences() {
+        use drape_dataset::registry::GarmentKind::{Dress, Jacket, Pants, Skirt, TShirt};
+        let config = Config::default();
+        let outfits = &config.scene.outfits;
+        for kind in [TShirt, Pants, Skirt, Dress, Jacket] {
+            let worn = (0..config.test_sequences)
+                .filter(|number| outfits[number % outfits.len()].contains(&kind))
+                .count();
+            assert!(worn >= 2, "{kind}: {worn}");
+        }
+    }
 }

@@ -107,8 +107,7 @@ pub(super) fn pattern(
             _ => {
                 let arm = ramp(-0.2, 0.5, a.arm_side(p));
                 let sleeve_ease = (0.35 * ease + 0.06) * ramp(-0.2, 1.4, a.along_arm(p));
-                let skin =
-                    off_skin(OFFSET + (1.0 - arm) * 0.4 * ease * free + arm * sleeve_ease);
+                let skin = off_skin(OFFSET + (1.0 - arm) * 0.4 * ease * free + arm * sleeve_ease);
                 let fade = 1.5 * (p.z - a.armpit.z + 0.3).max(0.0);
                 let flare = if hangs { spec.flare * fall } else { 0.0 };
                 let room = OFFSET + ease * free + flare;
