@@ -1,8 +1,11 @@
 //! LayersNet's named weights: names of the published program, sorted.
 //!
-//! Initialisation is PyTorch's default (weights and biases uniform in
-//! ±1/√fan_in; layer norms 1 and 0; n_weight 1; rotation weights with
-//! orthonormal columns), each tensor from its own named random stream.
+//! Initialisation: weights and biases uniform in ±1/√fan_in (PyTorch's default,
+//! which the published program uses throughout), but ±√(6/fan_in) for weights of
+//! encoders and decoder that feed a ReLU: with the smaller range the output
+//! hardly depends on the input at first, and training waits on a plateau. Layer
+//! norms 1 and 0; n_weight 1; rotation weights with orthonormal columns. Each
+//! tensor has its own named random stream.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -17,6 +20,9 @@ use crate::kernels::attention::{GROUPS, HEAD, WIDTH};
 
 /// Width of the decoder: relative state, patch embedding, body embedding.
 pub const DECODER_WIDTH: usize = 12 + 2 * WIDTH;
+/// Numbers that the decoder's first layer depends on: relative state, and three
+/// each of patch and body.
+const DECODER_INPUTS: usize = 12 + 3 + 3;
 /// Hidden width of a block's feed-forward layer.
 pub const FEED_FORWARD: usize = 2 * WIDTH;
 
@@ -25,6 +31,8 @@ pub const FEED_FORWARD: usize = 2 * WIDTH;
 enum Start {
     /// Uniform in ±1/√fan_in.
     Uniform(usize),
+    /// Uniform in ±√(6/fan_in), which keeps the spread through a ReLU.
+    Relu(usize),
     Constant(f32),
     /// Orthonormal columns.
     Orthonormal,
@@ -94,6 +102,24 @@ fn inventory(config: &ModelConfig) -> BTreeMap<String, (Vec<usize>, Start)> {
             DECODER_WIDTH,
             true,
         );
+    }
+    for (name, (shape, start)) in &mut all {
+        let encoder = [
+            "_encoder.",
+            "_projection.",
+            "receiver_proj.",
+            "sender_proj.",
+        ];
+        if !name.ends_with(".weight") {
+            continue;
+        }
+        if name == "decode_head.proj.layers.0.0.weight" {
+            *start = Start::Relu(DECODER_INPUTS);
+        } else if name == "decode_head.proj.layers.1.0.weight"
+            || encoder.iter().any(|part| name.contains(part))
+        {
+            *start = Start::Relu(shape[1]);
+        }
     }
     let mut norm = |name: &str| {
         all.insert(
@@ -171,12 +197,8 @@ impl Parameters {
             let mut rng = stream(seed, &format!("weights/{name}"));
             let values: Vec<f32> = match start {
                 Start::Constant(value) => vec![value; count],
-                Start::Uniform(fan_in) => {
-                    let bound = 1.0 / (fan_in as f32).sqrt();
-                    (0..count)
-                        .map(|_| rng.random_range(-bound..bound))
-                        .collect()
-                }
+                Start::Uniform(fan_in) => uniform(count, 1.0 / (fan_in as f32).sqrt(), &mut rng),
+                Start::Relu(fan_in) => uniform(count, (6.0 / fan_in as f32).sqrt(), &mut rng),
                 Start::Orthonormal => orthonormal_columns(shape[0], &mut rng),
             };
             variables.insert(name, Var::from_vec(values, shape, &Device::Cpu)?);
@@ -264,6 +286,12 @@ impl Parameters {
             .map(|variable| variable.elem_count())
             .sum()
     }
+}
+
+fn uniform(count: usize, bound: f32, rng: &mut impl Rng) -> Vec<f32> {
+    (0..count)
+        .map(|_| rng.random_range(-bound..bound))
+        .collect()
 }
 
 /// Random matrix `[rows, 3]` with orthonormal columns (Gram–Schmidt), row-major.

@@ -261,7 +261,7 @@ impl<'a, T: Real> Input<'a, T> {
             total += entry.weight;
         }
         for entry in out.iter_mut() {
-            entry.weight = entry.weight / total;
+            entry.weight /= total;
         }
     }
 
@@ -348,11 +348,15 @@ struct Output<'a, T> {
     body_projected: &'a mut [[[T; 3]; GROUPS]],
 }
 
+/// Gradient of an entry's weight, and of a body entry the message's parts:
+/// `R Wᵀ(r + s)`, `relu(M W · + c)`, `Rᵀ Wᵀ` of that, and `Wᵀ` of that.
+type Message<T> = (T, [T; 3], [T; HEAD], [T; 3], [T; 3]);
+
 #[inline(always)]
 fn backward_rows<T: Real>(input: &Input<T>, grad: &[T], out: &mut Output<T>) {
     let mut entries = Vec::new();
     // Per entry: gradient of the weight, and for body entries the message's parts.
-    let mut inner: Vec<(T, [T; 3], [T; HEAD], [T; 3], [T; 3])> = Vec::new();
+    let mut inner: Vec<Message<T>> = Vec::new();
     let zero3 = [T::zero(); 3];
     for (receiver, grad) in grad.chunks_exact(WIDTH).enumerate() {
         for group in 0..GROUPS {
