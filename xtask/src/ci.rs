@@ -18,20 +18,24 @@ struct Step {
     rustdoc: &'static str,
 }
 
-/// All in one profile, so that they share what they build. Tests run the programs.
+/// All in one profile and with the same features (`cli` is drape-import), so
+/// that they share what they build. Tests run the programs.
 const STEPS: [Step; 6] = [
     step("format", "fmt --all --check"),
     step(
         "lints",
-        "clippy --release --workspace --all-targets --locked -- -D warnings",
+        "clippy --release --workspace --all-targets --features drape-dataset/cli --locked -- -D warnings",
     ),
     Step {
         rustdoc: "-D warnings",
-        ..step("documentation", "doc --release --workspace --no-deps")
+        ..step("documentation", "doc --release --workspace --no-deps --features drape-dataset/cli")
     },
-    step("programs", "build --release --workspace --bins"),
-    step("tests", "test --release --workspace --lib --bins --tests"),
-    step("documentation tests", "test --release --workspace --doc"),
+    step("programs", "build --release --workspace --bins --features drape-dataset/cli"),
+    step(
+        "tests",
+        "test --release --workspace --lib --bins --tests --features drape-dataset/cli",
+    ),
+    step("documentation tests", "test --release --workspace --doc --features drape-dataset/cli"),
 ];
 
 const fn step(name: &'static str, arguments: &'static str) -> Step {
