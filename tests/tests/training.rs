@@ -121,9 +121,15 @@ fn one_thread_and_two_give_the_same_bits() {
     let runs = tempfile::tempdir().expect("a temporary folder");
     let config = config(data.path());
     for threads in [1, 2] {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
         let run = runs.path().join(threads.to_string());
-        assert_eq!(pool.install(|| train(&config, &run, 3)).unwrap(), Outcome::Interrupted);
+        assert_eq!(
+            pool.install(|| train(&config, &run, 3)).unwrap(),
+            Outcome::Interrupted
+        );
     }
     let (one, two) = (runs.path().join("1"), runs.path().join("2"));
     assert!(bytes(&one, "weights.safetensors") == bytes(&two, "weights.safetensors"));
@@ -140,8 +146,16 @@ fn an_overflow_stops_with_tensor_and_sequence_and_keeps_the_checkpoint() {
     // The first update after this one throws the weights out of range.
     config.schedule.learning_rate = 1e30;
     let error = train(&config, &run, u64::MAX).unwrap_err();
-    let TrainError::NotFinite { sequence, tensor, .. } = &error else { panic!("{error}") };
+    let TrainError::NotFinite {
+        sequence, tensor, ..
+    } = &error
+    else {
+        panic!("{error}")
+    };
     assert!(sequence.starts_with("sequence_"), "{error}");
     assert!(!tensor.is_empty(), "{error}");
-    assert!(bytes(&run, "weights.safetensors") == before, "the last good checkpoint is kept");
+    assert!(
+        bytes(&run, "weights.safetensors") == before,
+        "the last good checkpoint is kept"
+    );
 }

@@ -28,14 +28,23 @@ const STEPS: [Step; 6] = [
     ),
     Step {
         rustdoc: "-D warnings",
-        ..step("documentation", "doc --release --workspace --no-deps --features drape-dataset/cli")
+        ..step(
+            "documentation",
+            "doc --release --workspace --no-deps --features drape-dataset/cli",
+        )
     },
-    step("programs", "build --release --workspace --bins --features drape-dataset/cli"),
+    step(
+        "programs",
+        "build --release --workspace --bins --features drape-dataset/cli",
+    ),
     step(
         "tests",
         "test --release --workspace --lib --bins --tests --features drape-dataset/cli",
     ),
-    step("documentation tests", "test --release --workspace --doc --features drape-dataset/cli"),
+    step(
+        "documentation tests",
+        "test --release --workspace --doc --features drape-dataset/cli",
+    ),
 ];
 
 const fn step(name: &'static str, arguments: &'static str) -> Step {

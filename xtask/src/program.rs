@@ -95,7 +95,8 @@ pub fn run(program: Program, args: &[OsString]) -> Result<ExitCode> {
 /// allocator keeps freed pages (giving them back costs a tenth of training in
 /// page faults), and candle's own pool, whose threads wait by spinning beside
 /// ours, stays off.
-const ENVIRONMENT: [(&str, &str); 2] = [("MIMALLOC_PURGE_DELAY", "-1"), ("CANDLE_NUM_THREADS", "1")];
+const ENVIRONMENT: [(&str, &str); 2] =
+    [("MIMALLOC_PURGE_DELAY", "-1"), ("CANDLE_NUM_THREADS", "1")];
 
 /// Runs a program that is built already.
 pub fn start(program: Program, args: &[OsString]) -> Result<ExitStatus> {
