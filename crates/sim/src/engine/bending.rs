@@ -55,33 +55,53 @@ impl Bending {
 
     /// The one pass of a substep over all hinges.
     pub fn solve(&self, state: &mut State, h: f64) {
-        let damping = self.damping_s / h;
         for hinge in &self.hinges {
             let corners = hinge.corners.map(|v| v as usize);
-            let p = corners.map(|i| state.p[i]);
-            let x = corners.map(|i| state.x[i]);
-            let bend = combine(&p, &hinge.weights);
-            let normal = normal(&p);
-            let length = bend.length();
-            // A flat hinge has no direction of its own; its normal's sign says which way it folds.
-            let along = if length > 1e-9 { bend / length } else { normal };
-            let along = if along.dot(normal) < 0.0 {
-                -along
-            } else {
-                along
-            };
-            let error = bend.dot(along) - hinge.rest;
-            let moved = along.dot(bend - combine(&x, &hinge.weights));
-            let mut w = 0.0;
-            for (weight, &i) in hinge.weights.iter().zip(&corners) {
-                w += weight * weight * state.w[i];
-            }
+            let (bend, along) = hinge.bend(corners.map(|i| state.p[i]));
             let s = hinge.stiffness * h * h;
-            let lambda = -(s * (error + damping * moved)) / (1.0 + s * (1.0 + damping) * w);
+            let lambda = -s * (bend - hinge.rest) / (1.0 + s * hinge.mobility(state));
             for (weight, &i) in hinge.weights.iter().zip(&corners) {
                 state.p[i] += (state.w[i] * lambda * weight) * along;
             }
         }
+    }
+
+    /// Slows folding and unfolding for `h` seconds (Rayleigh, on velocities as in [`super::stretch`]).
+    pub fn damp(&self, state: &mut State, h: f64) {
+        for hinge in &self.hinges {
+            let corners = hinge.corners.map(|v| v as usize);
+            let (_, along) = hinge.bend(corners.map(|i| state.x[i]));
+            let rate = along.dot(combine(&corners.map(|i| state.v[i]), &hinge.weights));
+            let c = self.damping_s * hinge.stiffness * h;
+            let impulse = -c * rate / (1.0 + c * hinge.mobility(state));
+            for (weight, &i) in hinge.weights.iter().zip(&corners) {
+                state.v[i] += (state.w[i] * impulse * weight) * along;
+            }
+        }
+    }
+}
+
+impl Hinge {
+    /// Fold and its direction.
+    #[inline]
+    fn bend(&self, x: [DVec3; 4]) -> (f64, DVec3) {
+        let bend = combine(&x, &self.weights);
+        let normal = normal(&x);
+        let length = bend.length();
+        // A flat hinge has no direction of its own; its normal's sign says which way it folds.
+        let along = if length > 1e-9 { bend / length } else { normal };
+        let along = if along.dot(normal) < 0.0 {
+            -along
+        } else {
+            along
+        };
+        (bend.dot(along), along)
+    }
+
+    /// Σ K² / m.
+    fn mobility(&self, state: &State) -> f64 {
+        let share = |(weight, &v): (&f64, &u32)| weight * weight * state.w[v as usize];
+        self.weights.iter().zip(&self.corners).map(share).sum()
     }
 }
 

@@ -5,7 +5,7 @@
 //! face alone, and its edges leave the body alone, so that nothing holds it
 //! there. A body vertex that pokes through a cloth face is treated likewise.
 
-use super::contact::PairList;
+use super::contact::list::PairList;
 use super::contact::pair::Features;
 use super::contact::search::{Candidate, Surfaces, candidate};
 use super::contact::tubes::Tubes;
@@ -24,7 +24,7 @@ pub(super) struct BodyContact {
     thickness: f64,
     friction: f64,
     /// Cloth vertices that were inside the body at the last search.
-    inside: Vec<bool>,
+    pub inside: Vec<bool>,
     near: Vec<Candidate>,
 }
 

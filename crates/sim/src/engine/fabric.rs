@@ -28,6 +28,10 @@ pub(super) struct Fabric {
     pub area: Vec<f64>,
     /// The one or two faces at each edge: their number and opposite vertex.
     pub sides: Vec<Vec<(u32, u32)>>,
+    /// Faces at each vertex.
+    pub faces_of: Vec<Vec<u32>>,
+    /// Edges at each vertex.
+    pub edges_of: Vec<Vec<u32>>,
     /// Inverse masses, 1/kg.
     pub inverse_mass: Vec<f64>,
 }
@@ -51,6 +55,8 @@ impl Fabric {
             rest: Vec::new(),
             area: Vec::new(),
             sides: Vec::new(),
+            faces_of: Vec::new(),
+            edges_of: Vec::new(),
             inverse_mass: Vec::new(),
         };
         for garment in garments {
@@ -66,6 +72,8 @@ impl Fabric {
             }
         }
         (fabric.edges, fabric.sides) = sides.into_iter().unzip();
+        fabric.faces_of = incidence(fabric.rest.len(), &fabric.faces);
+        fabric.edges_of = incidence(fabric.rest.len(), &fabric.edges);
         Ok(fabric)
     }
 
@@ -121,6 +129,17 @@ impl Fabric {
             .map(|&(face, _)| self.area[face as usize])
             .sum()
     }
+}
+
+/// Features at each vertex.
+fn incidence<const N: usize>(vertices: usize, features: &[[u32; N]]) -> Vec<Vec<u32>> {
+    let mut of = vec![Vec::new(); vertices];
+    for (number, feature) in features.iter().enumerate() {
+        for &v in feature {
+            of[v as usize].push(number as u32);
+        }
+    }
+    of
 }
 
 /// Refuses meshes whose faces point nowhere or whose vertices are nowhere.

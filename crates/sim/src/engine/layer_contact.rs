@@ -1,9 +1,15 @@
 //! Contact between garments: vertices, faces and edges of both, each pair on
-//! the side where it is, except that an outer garment's vertex just inside an
-//! inner one (and the reverse) is brought back outside.
+//! the side where it is.
+//!
+//! While garments cross each other, an outer garment's vertex just inside an
+//! inner one (and the reverse) is brought back outside, and whatever else it
+//! could meet lets it pass.
 
-use super::contact::PairList;
+use std::collections::BTreeSet;
+
+use super::contact::list::PairList;
 use super::contact::pair::Features;
+use super::contact::pair::Pair;
 use super::contact::search::{Candidate, Surfaces};
 use super::fabric::Fabric;
 use super::state::State;
@@ -15,7 +21,13 @@ const RESCUE_M: f64 = 0.008;
 #[derive(Clone, Debug)]
 pub(super) struct LayerContact {
     pub list: PairList,
-    pub thickness: f64,
+    thickness: f64,
+    /// Whether garments cross at present.
+    pub recovering: bool,
+    /// Pairs that hold only if none of their vertices is on the wrong side.
+    doubtful: Vec<Pair>,
+    /// Vertices that are being brought back.
+    wrong: BTreeSet<u32>,
 }
 
 impl LayerContact {
@@ -23,6 +35,9 @@ impl LayerContact {
         Self {
             list: PairList::default(),
             thickness,
+            recovering: false,
+            doubtful: Vec::new(),
+            wrong: BTreeSet::new(),
         }
     }
 
@@ -40,15 +55,34 @@ impl LayerContact {
         let garments = [first, third].map(|v| fabric.garment_of[v as usize]);
         let [layer_a, layer_b] = garments.map(|g| fabric.garments[g as usize].layer);
         let friction = 0.5 * (fabric.cloth_of(first).friction + fabric.cloth_of(third).friction);
-        let side = wrong_side(found, surfaces, state, garments, layer_a.cmp(&layer_b));
-        match (side, found.features) {
-            // Crossed edges come apart when their vertices do.
-            (true, Features::EdgeEdge) => {}
-            (turned, _) => self
-                .list
-                .pairs
-                .push(found.pair(self.thickness, friction, turned, now)),
+        let turned =
+            self.recovering && wrong_side(found, surfaces, state, garments, layer_a.cmp(&layer_b));
+        let pair = found.pair(self.thickness, friction, turned, now);
+        if !self.recovering {
+            self.list.pairs.push(pair);
+        } else if !turned {
+            self.doubtful.push(pair);
+        } else if found.features == Features::VertexFace {
+            self.wrong.extend(found.vertices);
+            self.list.pairs.push(pair);
         }
+    }
+
+    /// Starts over; how far to look.
+    pub fn begin_search(&mut self) -> f64 {
+        self.list.pairs.clear();
+        self.doubtful.clear();
+        self.wrong.clear();
+        self.thickness
+    }
+
+    /// All candidates are known.
+    pub fn finish_search(&mut self) {
+        let wrong = &self.wrong;
+        let holds = |pair: &Pair| !pair.vertices.iter().any(|v| wrong.contains(v));
+        self.list
+            .pairs
+            .extend(self.doubtful.drain(..).filter(holds));
     }
 }
 

@@ -19,8 +19,10 @@
 //! | [`body_contact`], [`layer_contact`], [`self_contact`], [`friction`] | contacts, on the machinery of [`contact`] |
 //! | [`waistband`] | waist bands |
 //!
-//! Limitation: contacts make intersections rare, they do not exclude them;
-//! whoever keeps frames counts them.
+//! Surfaces that are apart at the start stay apart ([`contact`] tells why), as
+//! far as [`StepReport::uncertified`] is 0. Where the body crosses itself or
+//! squeezes cloth without room, no engine can be clean: whoever keeps frames
+//! counts intersections.
 
 mod air;
 mod bending;
@@ -45,15 +47,12 @@ mod wind;
 
 use drape_dataset::registry::Effect;
 use drape_dataset::sequence::{Garment, Wind};
+use drape_geometry::intersect::count_between;
 use glam::DVec3;
 
 use bending::Bending;
 use body_contact::BodyContact;
-use contact::certificate::Certificate;
-use contact::pair::{Features, Pair};
-use contact::search::{Surfaces, candidate};
-use contact::solve::PushOut;
-use contact::tubes::Tubes;
+use contact::Contacts;
 use fabric::Fabric;
 use layer_contact::LayerContact;
 use passes::Passes;
@@ -110,17 +109,6 @@ pub struct Engine {
     clock: u32,
 }
 
-/// Everything about contacts; absent when no effect asks for them.
-#[derive(Clone, Debug)]
-struct Contacts {
-    surfaces: Surfaces,
-    tubes: Tubes,
-    body: Option<BodyContact>,
-    layer: Option<LayerContact>,
-    own: Option<SelfContact>,
-    certificate: Certificate,
-}
-
 impl Engine {
     /// Puts garments, at rest, on a body.
     ///
@@ -175,15 +163,8 @@ impl Engine {
             .then(|| LayerContact::new(settings.layer_thickness_m));
         let own = (has(Effect::SelfContact) && !garments.is_empty())
             .then(|| SelfContact::new(settings.self_thickness_m));
-        let contacts = (body.is_some() || layer.is_some() || own.is_some()).then(|| Contacts {
-            surfaces: Surfaces::new(&fabric, body_faces, &state),
-            tubes: Tubes::new(&state),
-            certificate: Certificate::new(state.x.len()),
-            body,
-            layer,
-            own,
-        });
-        Ok(Self {
+        let contacts = Contacts::new(&fabric, body_faces, &state, body, layer, own);
+        let mut engine = Self {
             settings: settings.clone(),
             scale,
             gravity: has(Effect::Gravity).then(|| metres(physics.gravity, scale)),
@@ -193,8 +174,7 @@ impl Engine {
             names: garments.iter().map(|g| g.name.clone()).collect(),
             stretch: has(Effect::Stretch)
                 .then(|| Stretch::new(&fabric, settings.stretch_damping_s)),
-            shear: has(Effect::Shear)
-                .then(|| Shear::new(garments, &fabric, settings.stretch_damping_s)),
+            shear: has(Effect::Shear).then(|| Shear::new(garments, &fabric)),
             bending: has(Effect::Bending)
                 .then(|| Bending::new(&fabric, settings.bending_damping_s)),
             fabric,
@@ -203,7 +183,9 @@ impl Engine {
             contacts,
             passes: Passes::default(),
             clock: 0,
-        })
+        };
+        engine.watch_layers(true);
+        Ok(engine)
     }
 
     /// Moves the body linearly to `body_next` within `dt_s` seconds, and the cloth with it.
@@ -246,9 +228,8 @@ impl Engine {
             self.state.v[cloth + i] = (*to - *from) / dt_s;
             body_velocity += self.state.v[cloth + i] / body_count as f64;
         }
-        // The body changes its velocity between frames: old tubes do not hold.
         if let Some(contacts) = &mut self.contacts {
-            contacts.tubes.expire();
+            contacts.begin_frame();
         }
         let mut report = StepReport::default();
         for substep in 1..=substeps {
@@ -263,6 +244,7 @@ impl Engine {
             self.substep(h, air, body_velocity, &mut report);
         }
         self.check_range()?;
+        self.watch_layers(report.uncertified > 0);
         report.top_speed_m_s = self.state.v[..cloth]
             .iter()
             .map(|v| v.length())
@@ -315,18 +297,7 @@ impl Engine {
             waistband.follow(state, h);
         }
         if let Some(contacts) = &mut self.contacts {
-            let push = PushOut {
-                close: settings.push_out_m_s * h,
-                through: settings.recovery_m_s * h,
-            };
-            if contacts.tubes.expired(settings.search_every) {
-                contacts.search(fabric, state, settings.search_every, self.clock, h);
-                report.searches += 1;
-            }
-            contacts.look(state, self.clock, push, passes);
-            report.pairs = contacts.lists().map(|list| list.pairs.len()).sum();
-            report.contacts = contacts.lists().map(|list| list.contacts.len()).sum();
-            report.inside_body = contacts.body.as_ref().map_or(0, BodyContact::inside);
+            contacts.prepare(fabric, state, settings, (self.clock, h), passes, report);
         }
         if let Some(bending) = &mut self.bending {
             passes.count(Effect::Bending);
@@ -348,24 +319,51 @@ impl Engine {
                 if self.friction {
                     passes.count(Effect::Friction);
                 }
-                for list in contacts.lists_mut() {
-                    list.solve(state, self.friction);
-                }
+                contacts.solve(state, self.friction);
             }
-        }
-        if let Some(contacts) = &mut self.contacts {
-            let outcome = contacts.certify(state);
+            let outcome = contacts.certify(fabric, state);
             report.repaired += u64::from(outcome.failed);
             report.uncertified += u64::from(outcome.left);
         }
         state.finish(h);
         if let Some(contacts) = &mut self.contacts {
-            for list in contacts.lists_mut() {
-                list.forget_push(state, h);
-            }
-            contacts.tubes.observe(state);
+            contacts.finish(state, h);
+        }
+        if let Some(bending) = &self.bending {
+            bending.damp(state, h);
+        }
+        if let Some(stretch) = &self.stretch {
+            stretch.damp(state, h);
         }
         self.clock += 1;
+    }
+
+    /// Lets layers be brought back to their sides only while they cross: clean
+    /// ones keep theirs, and cloth may lie however it likes. Crossings can be
+    /// there at the start and after substeps that were not certified.
+    fn watch_layers(&mut self, doubtful: bool) {
+        let Some(layer) = self.contacts.as_mut().and_then(Contacts::layer_mut) else {
+            return;
+        };
+        if !(doubtful || layer.recovering) {
+            return;
+        }
+        let pieces = &self.fabric.garments;
+        let local = |piece: &fabric::Piece| -> (Vec<[f32; 3]>, Vec<[u32; 3]>) {
+            let first = piece.vertices.start as u32;
+            let positions = self.state.x[piece.vertices.clone()]
+                .iter()
+                .map(|x| x.as_vec3().to_array());
+            let faces = self.fabric.faces[piece.faces.clone()]
+                .iter()
+                .map(|f| f.map(|v| v - first));
+            (positions.collect(), faces.collect())
+        };
+        let meshes: Vec<_> = pieces.iter().map(local).collect();
+        layer.recovering = meshes.iter().enumerate().any(|(i, (x, faces))| {
+            let cross = |(y, others): &(Vec<_>, Vec<_>)| count_between(x, faces, y, others) > 0;
+            meshes[i + 1..].iter().any(cross)
+        });
     }
 
     fn check_range(&self) -> Result<(), SimError> {
@@ -384,108 +382,6 @@ impl Engine {
             }
         }
         Ok(())
-    }
-}
-
-impl Contacts {
-    fn search(&mut self, fabric: &Fabric, state: &State, substeps: u32, now: u32, h: f64) {
-        let until = f64::from(substeps);
-        self.tubes.lay(state, h);
-        self.surfaces.refit(fabric, state, &self.tubes, until);
-        let (surfaces, tubes) = (&self.surfaces, &self.tubes);
-        if let Some(body) = &mut self.body {
-            body.search(surfaces, fabric, state, tubes, (now, until));
-        }
-        if let Some(layer) = &mut self.layer {
-            layer.list.pairs.clear();
-        }
-        if let Some(own) = &mut self.own {
-            own.list.pairs.clear();
-        }
-        let layer_thickness = self.layer.as_ref().map(|layer| layer.thickness);
-        let own_thickness = self.own.as_ref().map(|own| own.thickness);
-        let Some(reach) = layer_thickness
-            .into_iter()
-            .chain(own_thickness)
-            .reduce(f64::max)
-        else {
-            return;
-        };
-        let (layer, own) = (&mut self.layer, &mut self.own);
-        let mut judge = |vertices: [u32; 4], features| {
-            let same =
-                fabric.garment_of[vertices[0] as usize] == fabric.garment_of[vertices[2] as usize];
-            let Some(thickness) = (if same { own_thickness } else { layer_thickness }) else {
-                return;
-            };
-            let Some(found) = candidate(vertices, features, thickness, state, tubes, until) else {
-                return;
-            };
-            match (same, &mut *own, &mut *layer) {
-                (true, Some(own), _) => own.add(&found, fabric, until, now),
-                (false, _, Some(layer)) => layer.add(&found, surfaces, fabric, state, now),
-                _ => {}
-            }
-        };
-        surfaces.cloth_vertices_and_faces(fabric, reach, |vertices| {
-            judge(vertices, Features::VertexFace)
-        });
-        surfaces.cloth_edges(fabric, reach, |vertices| {
-            judge(vertices, Features::EdgeEdge)
-        });
-    }
-
-    fn look(&mut self, state: &State, now: u32, push: PushOut, passes: &mut Passes) {
-        let effects = [
-            (
-                Effect::SelfContact,
-                self.own.as_mut().map(|own| &mut own.list),
-            ),
-            (
-                Effect::LayerContact,
-                self.layer.as_mut().map(|layer| &mut layer.list),
-            ),
-            (
-                Effect::BodyContact,
-                self.body.as_mut().map(|body| &mut body.list),
-            ),
-        ];
-        for (effect, list) in effects {
-            if let Some(list) = list {
-                passes.count(effect);
-                list.look(state, now, push);
-            }
-        }
-    }
-
-    /// Moves what is about to cross.
-    fn certify(&mut self, state: &mut State) -> contact::certificate::Outcome {
-        let own = self.own.as_ref().map(|own| &own.list);
-        let layer = self.layer.as_ref().map(|layer| &layer.list);
-        let body = self.body.as_ref().map(|body| &body.list);
-        let lists = own.into_iter().chain(layer).chain(body);
-        let clean = lists.flat_map(|list| {
-            list.clean
-                .iter()
-                .map(|&number| &list.pairs[number as usize])
-        });
-        let pairs: Vec<&Pair> = clean.collect();
-        self.certificate.certify(&pairs, state)
-    }
-
-    fn lists(&self) -> impl Iterator<Item = &contact::PairList> {
-        let own = self.own.as_ref().map(|own| &own.list);
-        let layer = self.layer.as_ref().map(|layer| &layer.list);
-        let body = self.body.as_ref().map(|body| &body.list);
-        own.into_iter().chain(layer).chain(body)
-    }
-
-    /// The body comes last: it cannot give way, so it has the last word.
-    fn lists_mut(&mut self) -> impl Iterator<Item = &mut contact::PairList> {
-        let own = self.own.as_mut().map(|own| &mut own.list);
-        let layer = self.layer.as_mut().map(|layer| &mut layer.list);
-        let body = self.body.as_mut().map(|body| &mut body.list);
-        own.into_iter().chain(layer).chain(body)
     }
 }
 

@@ -3,7 +3,7 @@
 //! Neighbours on the mesh are close to each other at rest already: no pair
 //! asks for more than 0.7 of its distance at rest.
 
-use super::contact::PairList;
+use super::contact::list::PairList;
 use super::contact::pair::separation;
 use super::contact::search::Candidate;
 use super::fabric::Fabric;
@@ -15,7 +15,7 @@ const REST_SHARE: f64 = 0.7;
 #[derive(Clone, Debug)]
 pub(super) struct SelfContact {
     pub list: PairList,
-    pub thickness: f64,
+    thickness: f64,
 }
 
 impl SelfContact {
@@ -24,6 +24,12 @@ impl SelfContact {
             list: PairList::default(),
             thickness,
         }
+    }
+
+    /// Starts over; how far to look.
+    pub fn begin_search(&mut self) -> f64 {
+        self.list.pairs.clear();
+        self.thickness
     }
 
     /// Takes a candidate of one garment up.

@@ -41,7 +41,7 @@ pub struct EngineSettings {
     pub layer_thickness_m: f64,
     /// Distance within a garment, never more than 0.7 of the distance at rest. Default 0.003.
     pub self_thickness_m: f64,
-    /// Damping of stretch and shear: time constant of strain rates. Larger: calmer, more sluggish
+    /// Damping of stretch: time constant of strain rates. Larger: calmer, more sluggish
     /// wrinkles. Default 0.03: woven cloth loses most of a vibration's energy within a frame.
     pub stretch_damping_s: f64,
     /// Damping of bending. Larger: folds move less. Default 0.2.

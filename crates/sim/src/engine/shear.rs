@@ -17,7 +17,6 @@ struct Weave {
     corners: [u32; 3],
     u: [f64; 3],
     v: [f64; 3],
-    rest: f64,
     stiffness: f64,
 }
 
@@ -25,11 +24,10 @@ struct Weave {
 #[derive(Clone, Debug)]
 pub(super) struct Shear {
     weaves: Vec<Weave>,
-    damping_s: f64,
 }
 
 impl Shear {
-    pub fn new(garments: &[Garment], fabric: &Fabric, damping_s: f64) -> Self {
+    pub fn new(garments: &[Garment], fabric: &Fabric) -> Self {
         let mut weaves = Vec::new();
         for (garment, piece) in garments.iter().zip(&fabric.garments) {
             for (local, number) in piece.faces.clone().enumerate() {
@@ -57,39 +55,40 @@ impl Shear {
                     corners,
                     u,
                     v,
-                    rest: 0.0,
                     stiffness: piece.cloth.shear * area,
                 });
             }
         }
-        Self { weaves, damping_s }
+        Self { weaves }
     }
 
     /// The one pass of a substep over all faces.
     pub fn solve(&self, state: &mut State, h: f64) {
-        let damping = self.damping_s / h;
         for weave in &self.weaves {
             let corners = weave.corners.map(|v| v as usize);
-            let sum = |from: &[DVec3], weights: &[f64; 3]| {
-                weights[0] * from[corners[0]]
-                    + weights[1] * from[corners[1]]
-                    + weights[2] * from[corners[2]]
-            };
-            let (fu, fv) = (sum(&state.p, &weave.u), sum(&state.p, &weave.v));
-            let error = fu.dot(fv) - weave.rest;
-            let gradient: [DVec3; 3] = std::array::from_fn(|k| weave.u[k] * fv + weave.v[k] * fu);
-            let mut w = 0.0;
-            let mut moved = 0.0;
-            for (k, &i) in corners.iter().enumerate() {
-                w += state.w[i] * gradient[k].length_squared();
-                moved += gradient[k].dot(state.p[i] - state.x[i]);
-            }
+            let (error, gradient) = weave.shear(corners.map(|i| state.p[i]));
+            let w: f64 = (0..3)
+                .map(|k| state.w[corners[k]] * gradient[k].length_squared())
+                .sum();
             let s = weave.stiffness * h * h;
-            let lambda = -(s * (error + damping * moved)) / (1.0 + s * (1.0 + damping) * w);
+            let lambda = -s * error / (1.0 + s * w);
             for (k, &i) in corners.iter().enumerate() {
                 state.p[i] += (state.w[i] * lambda) * gradient[k];
             }
         }
+    }
+}
+
+impl Weave {
+    /// Shear and its gradient.
+    #[inline]
+    fn shear(&self, x: [DVec3; 3]) -> (f64, [DVec3; 3]) {
+        let sum = |k: &[f64; 3]| k[0] * x[0] + k[1] * x[1] + k[2] * x[2];
+        let (fu, fv) = (sum(&self.u), sum(&self.v));
+        (
+            fu.dot(fv),
+            std::array::from_fn(|k| self.u[k] * fv + self.v[k] * fu),
+        )
     }
 }
 

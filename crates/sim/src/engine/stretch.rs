@@ -6,9 +6,11 @@
 //! adjacent rest area A and rest length L therefore gets k = K·A/L², which is
 //! that on regular meshes and follows the area on others.
 //!
-//! Solved as XPBD (Macklin et al. 2016) in stiffness form with Rayleigh
-//! damping: λ += −(s(C + τ Ċ) + λ) / (1 + s(1 + τ/h)·Σw), s = k h². A
-//! stiffness of 0 moves nothing, however large, nothing overshoots.
+//! Solved as XPBD (Macklin et al. 2016) in stiffness form:
+//! λ += −(s C + λ) / (1 + s Σw), s = k h². A stiffness of 0 moves nothing,
+//! however large, nothing overshoots. Damping (Rayleigh, c = τ k) acts on
+//! velocities after the substep: inside the position solve it would slow its
+//! convergence, and damped cloth would stretch like rubber.
 
 use super::fabric::Fabric;
 use super::state::State;
@@ -61,7 +63,6 @@ impl Stretch {
     /// One pass over all springs, forth or back: passes in turn carry
     /// corrections both ways along the numbering.
     pub fn solve(&mut self, state: &mut State, h: f64, back: bool) {
-        let damping = self.damping_s / h;
         let count = self.springs.len();
         for number in 0..count {
             let spring = &mut self.springs[if back { count - 1 - number } else { number }];
@@ -72,21 +73,41 @@ impl Stretch {
             if length < 1e-12 {
                 continue;
             }
-            let n = d / length;
             let error = length - spring.rest;
-            let stiffness = if error > 0.0 {
-                spring.tension
-            } else {
-                spring.compression
-            };
-            let s = stiffness * h * h;
-            let moved = n.dot(d - (state.x[i] - state.x[j]));
-            let w = wi + wj;
-            let lambda =
-                -(s * (error + damping * moved) + spring.lambda) / (1.0 + s * (1.0 + damping) * w);
+            let s = spring.stiffness(error) * h * h;
+            let lambda = -(s * error + spring.lambda) / (1.0 + s * (wi + wj));
             spring.lambda += lambda;
-            state.p[i] += (wi * lambda) * n;
-            state.p[j] -= (wj * lambda) * n;
+            let push = (lambda / length) * d;
+            state.p[i] += wi * push;
+            state.p[j] -= wj * push;
+        }
+    }
+
+    /// Slows lengthening and shortening for `h` seconds.
+    pub fn damp(&self, state: &mut State, h: f64) {
+        for spring in &self.springs {
+            let [i, j] = spring.ends.map(|v| v as usize);
+            let (wi, wj) = (state.w[i], state.w[j]);
+            let d = state.x[i] - state.x[j];
+            let length = d.length();
+            if length < 1e-12 {
+                continue;
+            }
+            let n = d / length;
+            let c = self.damping_s * spring.stiffness(length - spring.rest) * h;
+            let impulse = (-c * n.dot(state.v[i] - state.v[j]) / (1.0 + c * (wi + wj))) * n;
+            state.v[i] += wi * impulse;
+            state.v[j] -= wj * impulse;
+        }
+    }
+}
+
+impl Spring {
+    fn stiffness(&self, error: f64) -> f64 {
+        if error > 0.0 {
+            self.tension
+        } else {
+            self.compression
         }
     }
 }

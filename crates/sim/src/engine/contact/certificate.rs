@@ -13,9 +13,9 @@
 //! of their vertices, or the body's where it takes part: the features of such a
 //! pair do not move against each other, so a pair that was apart stays apart.
 //!
-//! Limitation: the argument covers listed pairs that were apart at the start
-//! and are awake. Repairs may take vertices further than the search foresaw;
-//! the next search then sees them where they are.
+//! Pairs that are not given here must not be able to meet: [`super::tubes`]
+//! and [`super::strays`] see to that. What is left of failing pairs after all
+//! passes is counted, not hidden.
 
 use glam::DVec3;
 

@@ -6,77 +6,260 @@
 //! 2. [`pair`], each substep: gap and normal of the pairs that are awake;
 //! 3. [`solve`], each pass: push apart, rub;
 //! 4. [`certificate`], at the end of a substep: a plane between the features of
-//!    every pair throughout the substep, or they are moved until there is one.
+//!    every pair throughout the substep, or they are moved until there is one;
+//! 5. [`strays`]: pairs that the search could not foresee are certified as well.
 //!
 //! Which features make pairs, at which thickness and friction, is the business
 //! of the effect that owns the list: [`super::body_contact`],
 //! [`super::layer_contact`], [`super::self_contact`].
 
 pub(super) mod certificate;
+pub(super) mod list;
 pub(super) mod pair;
 pub(super) mod search;
 pub(super) mod solve;
+pub(super) mod strays;
 pub(super) mod tree;
 pub(super) mod tubes;
 
-use pair::Pair;
-use solve::{Contact, PushOut};
+use certificate::{Certificate, Outcome};
+use drape_dataset::registry::Effect;
+use glam::DVec3;
+use list::PairList;
+use pair::{Features, Pair};
+use search::{Surfaces, candidate};
+use solve::PushOut;
+use strays::Wanted;
+use tubes::Tubes;
 
+use super::StepReport;
+use super::body_contact::BodyContact;
+use super::fabric::Fabric;
+use super::layer_contact::LayerContact;
+use super::passes::Passes;
+use super::self_contact::SelfContact;
+use super::settings::EngineSettings;
 use super::state::State;
 
-/// Pairs of one effect and its contacts in the present substep.
-#[derive(Clone, Debug, Default)]
-pub(super) struct PairList {
-    pub pairs: Vec<Pair>,
-    pub contacts: Vec<Contact>,
-    /// Pairs looked at in the present substep whose features had not crossed.
-    pub clean: Vec<u32>,
+/// Rounds of looking for strays' pairs and certifying them: repairs make new strays.
+const STRAY_ROUNDS: u32 = 6;
+
+/// Everything about contacts.
+#[derive(Clone, Debug)]
+pub(super) struct Contacts {
+    surfaces: Surfaces,
+    tubes: Tubes,
+    body: Option<BodyContact>,
+    layer: Option<LayerContact>,
+    own: Option<SelfContact>,
+    certificate: Certificate,
+    /// Where a stray was last looked up.
+    looked_up: Vec<DVec3>,
 }
 
-/// Contacts are solved if inertia brings them this close to their thickness, m:
-/// further than elasticity moves a vertex in a substep.
-const MARGIN_M: f64 = 1e-3;
+impl Contacts {
+    /// Contacts of the effects that are there; `None` without any.
+    pub fn new(
+        fabric: &Fabric,
+        body_faces: Vec<[u32; 3]>,
+        state: &State,
+        body: Option<BodyContact>,
+        layer: Option<LayerContact>,
+        own: Option<SelfContact>,
+    ) -> Option<Self> {
+        (body.is_some() || layer.is_some() || own.is_some()).then(|| Self {
+            surfaces: Surfaces::new(fabric, body_faces, state),
+            tubes: Tubes::new(state),
+            body,
+            layer,
+            own,
+            certificate: Certificate::new(state.x.len()),
+            looked_up: vec![DVec3::NAN; state.cloth],
+        })
+    }
 
-impl PairList {
-    /// Looks at the pairs that are awake in substep `now` and lists contacts.
-    pub fn look(&mut self, state: &State, now: u32, push: PushOut) {
-        self.contacts.clear();
-        self.clean.clear();
-        for (number, pair) in self.pairs.iter_mut().enumerate() {
-            if pair.wake > now {
-                continue;
+    /// The body changes its velocity: old tubes do not hold.
+    pub fn begin_frame(&mut self) {
+        self.tubes.expire();
+    }
+
+    /// Searches if it is time, and lists the contacts of substep `now`.
+    pub fn prepare(
+        &mut self,
+        fabric: &Fabric,
+        state: &State,
+        settings: &EngineSettings,
+        (now, h): (u32, f64),
+        passes: &mut Passes,
+        report: &mut StepReport,
+    ) {
+        let push = PushOut {
+            close: settings.push_out_m_s * h,
+            through: settings.recovery_m_s * h,
+        };
+        if self.tubes.expired(settings.search_every) {
+            self.search(fabric, state, settings.search_every, now, h);
+            report.searches += 1;
+        }
+        let effects = [
+            (
+                Effect::SelfContact,
+                self.own.as_mut().map(|own| &mut own.list),
+            ),
+            (
+                Effect::LayerContact,
+                self.layer.as_mut().map(|layer| &mut layer.list),
+            ),
+            (
+                Effect::BodyContact,
+                self.body.as_mut().map(|body| &mut body.list),
+            ),
+        ];
+        for (effect, list) in effects {
+            if let Some(list) = list {
+                passes.count(effect);
+                list.look(state, now, push);
             }
-            let (separation, gap) = pair.look(&state.x);
-            let room = gap - f64::from(pair.thickness);
-            let rate = f64::from(pair.rate);
-            if room > rate {
-                pair.wake = now + (room / rate).min(1e6) as u32;
-                continue;
-            }
-            if gap > 0.0 {
-                self.clean.push(number as u32);
-            }
-            let coming = {
-                let [a, b, c, d] = pair.vertices.map(|v| state.p[v as usize]);
-                let [u, v, w, z] = separation.weights;
-                pair.normal.dot(u * a + v * b + w * c + z * d)
-            };
-            if coming > f64::from(pair.thickness) + MARGIN_M {
-                continue;
-            }
-            if let Some(contact) = Contact::new(pair, &separation, gap, push, state) {
-                self.contacts.push(contact);
-            }
+        }
+        report.pairs = self.lists().map(|list| list.pairs.len()).sum();
+        report.contacts = self.lists().map(|list| list.contacts.len()).sum();
+        report.inside_body = self.body.as_ref().map_or(0, BodyContact::inside);
+    }
+
+    /// One solver pass over all contacts.
+    pub fn solve(&mut self, state: &mut State, rub: bool) {
+        for list in self.lists_mut() {
+            list.solve(state, rub);
         }
     }
 
-    /// One solver pass.
-    pub fn solve(&mut self, state: &mut State, rub: bool) {
-        solve::solve(&mut self.contacts, state, rub);
+    /// Moves what is about to cross.
+    pub fn certify(&mut self, fabric: &Fabric, state: &mut State) -> Outcome {
+        let mut total = Outcome::default();
+        let mut found: Vec<Pair> = Vec::new();
+        self.looked_up.fill(DVec3::NAN);
+        for round in 0.. {
+            let lists = [
+                self.own.as_ref().map(|own| &own.list),
+                self.layer.as_ref().map(|layer| &layer.list),
+                self.body.as_ref().map(|body| &body.list),
+            ];
+            let listed = lists.into_iter().flatten().flat_map(|list| {
+                list.clean
+                    .iter()
+                    .map(|&number| &list.pairs[number as usize])
+            });
+            let pairs: Vec<&Pair> = listed.chain(&found).collect();
+            let outcome = self.certificate.certify(&pairs, state);
+            total.failed += outcome.failed;
+            total.left = outcome.left;
+            let strays = self.strays(state);
+            if strays.is_empty() {
+                return total;
+            }
+            if round == STRAY_ROUNDS {
+                // Somebody moved after the last look: not certified, if not wrong either.
+                total.left += strays.len() as u32;
+                return total;
+            }
+            let wanted = Wanted {
+                body: self.body.as_ref().map(|body| &body.inside[..]),
+                layers: self.layer.as_ref().is_some_and(|layer| !layer.recovering),
+                own: self.own.is_some(),
+            };
+            strays::pairs_of(
+                &strays,
+                &wanted,
+                &mut self.surfaces,
+                fabric,
+                state,
+                &mut found,
+            );
+        }
+        total
+    }
+
+    /// Cloth vertices out of their tubes that have moved since they were looked up.
+    fn strays(&mut self, state: &State) -> Vec<u32> {
+        let mut strays = Vec::new();
+        for i in 0..state.cloth {
+            if self.tubes.deviation(state, i) > self.tubes.radius[i]
+                && self.looked_up[i] != state.p[i]
+            {
+                self.looked_up[i] = state.p[i];
+                strays.push(i as u32);
+            }
+        }
+        strays
     }
 
     /// After the velocities are known.
-    pub fn forget_push(&self, state: &mut State, h: f64) {
-        solve::forget_push(&self.contacts, state, h);
+    pub fn finish(&mut self, state: &mut State, h: f64) {
+        for list in self.lists_mut() {
+            list.forget_push(state, h);
+        }
+        self.tubes.observe(state);
+    }
+
+    fn search(&mut self, fabric: &Fabric, state: &State, substeps: u32, now: u32, h: f64) {
+        let until = f64::from(substeps);
+        self.tubes.lay(state, h);
+        self.surfaces.refit(fabric, state, &self.tubes, until);
+        let (surfaces, tubes) = (&self.surfaces, &self.tubes);
+        if let Some(body) = &mut self.body {
+            body.search(surfaces, fabric, state, tubes, (now, until));
+        }
+        let layer_thickness = self.layer.as_mut().map(LayerContact::begin_search);
+        let own_thickness = self.own.as_mut().map(SelfContact::begin_search);
+        let Some(reach) = layer_thickness
+            .into_iter()
+            .chain(own_thickness)
+            .reduce(f64::max)
+        else {
+            return;
+        };
+        let (layer, own) = (&mut self.layer, &mut self.own);
+        let mut judge = |vertices: [u32; 4], features| {
+            let [first, second] = [vertices[0], vertices[2]].map(|v| fabric.garment_of[v as usize]);
+            let same = first == second;
+            let Some(thickness) = (if same { own_thickness } else { layer_thickness }) else {
+                return;
+            };
+            let Some(found) = candidate(vertices, features, thickness, state, tubes, until) else {
+                return;
+            };
+            match (same, &mut *own, &mut *layer) {
+                (true, Some(own), _) => own.add(&found, fabric, until, now),
+                (false, _, Some(layer)) => layer.add(&found, surfaces, fabric, state, now),
+                _ => {}
+            }
+        };
+        surfaces.cloth_vertices_and_faces(fabric, reach, |v| judge(v, Features::VertexFace));
+        surfaces.cloth_edges(fabric, reach, |v| judge(v, Features::EdgeEdge));
+        if let Some(layer) = &mut self.layer {
+            layer.finish_search();
+        }
+    }
+
+    fn lists(&self) -> impl Iterator<Item = &PairList> {
+        let own = self.own.as_ref().map(|own| &own.list);
+        let layer = self.layer.as_ref().map(|layer| &layer.list);
+        let body = self.body.as_ref().map(|body| &body.list);
+        own.into_iter().chain(layer).chain(body)
+    }
+
+    /// The body comes last: it cannot give way, so it has the last word.
+    fn lists_mut(&mut self) -> impl Iterator<Item = &mut PairList> {
+        let own = self.own.as_mut().map(|own| &mut own.list);
+        let layer = self.layer.as_mut().map(|layer| &mut layer.list);
+        let body = self.body.as_mut().map(|body| &mut body.list);
+        own.into_iter().chain(layer).chain(body)
+    }
+}
+
+impl Contacts {
+    /// Layer contact, for who knows whether layers cross.
+    pub fn layer_mut(&mut self) -> Option<&mut LayerContact> {
+        self.layer.as_mut()
     }
 }

@@ -10,6 +10,8 @@
 use drape_geometry::closest::point_triangle;
 use glam::DVec3;
 
+use crate::engine::state::State;
+
 /// Features of a pair.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Features {
@@ -104,6 +106,21 @@ fn between_segments([a0, a1]: [DVec3; 2], [b0, b1]: [DVec3; 2]) -> (f64, f64) {
 }
 
 impl Pair {
+    /// A pair that is only certified, not kept at a distance; `None` if nothing in it can move.
+    pub fn found(vertices: [u32; 4], features: Features, state: &State) -> Option<Self> {
+        let mobile = vertices.iter().any(|&v| state.w[v as usize] > 0.0);
+        let normal = separation(features, vertices, &state.x).d.try_normalize()?;
+        mobile.then_some(Self {
+            vertices,
+            features,
+            thickness: 0.0,
+            friction: 0.0,
+            rate: 0.0,
+            wake: 0,
+            normal,
+        })
+    }
+
     /// Gap along the remembered normal, which is brought up to date.
     pub fn look(&mut self, x: &[DVec3]) -> (Separation, f64) {
         let separation = separation(self.features, self.vertices, x);

@@ -144,14 +144,56 @@ impl Surfaces {
                 shift: Aabb::of(&[half.as_vec3().to_array()]),
             };
         }
-        self.cloth_vertex_tree
-            .refit(&self.boxes, &self.cloth_vertices);
+        self.refit_trees(fabric);
+    }
+
+    /// Lays boxes around the way of the present substep, from `x` to `p`.
+    pub fn refit_substep(&mut self, fabric: &Fabric, state: &State) {
+        for (i, around) in self.boxes.iter_mut().enumerate() {
+            let half = 0.5 * (state.p[i] - state.x[i]);
+            *around = MovingBox {
+                middle: Aabb::of(&[(state.x[i] + half).as_vec3().to_array()]).grown(1e-6),
+                shift: Aabb::of(&[half.as_vec3().to_array()]),
+            };
+        }
+        self.refit_trees(fabric);
+    }
+
+    fn refit_trees(&mut self, fabric: &Fabric) {
+        let boxes = &self.boxes;
+        self.cloth_vertex_tree.refit(boxes, &self.cloth_vertices);
+        self.body_vertex_tree.refit(boxes, &self.body_vertices);
+        self.cloth_face_tree.refit(boxes, &fabric.faces);
+        self.cloth_edge_tree.refit(boxes, &fabric.edges);
+        self.body_face_tree.refit(boxes, &self.body_faces);
+        self.body_edge_tree.refit(boxes, &self.body_edges);
+    }
+
+    /// Faces of cloth and body that vertex `v` can meet.
+    pub fn faces_met_by(&self, v: u32, fabric: &Fabric, mut found: impl FnMut([u32; 3])) {
+        let query = &self.boxes[v as usize];
+        self.cloth_face_tree
+            .meeting(query, 0.0, |f| found(fabric.faces[f as usize]));
+        self.body_face_tree
+            .meeting(query, 0.0, |f| found(self.body_faces[f as usize]));
+    }
+
+    /// Vertices of cloth and body that a face can meet.
+    pub fn vertices_meeting(&self, face: [u32; 3], mut found: impl FnMut(u32)) {
+        let query = MovingBox::around(&self.boxes, face);
+        self.cloth_vertex_tree.meeting(&query, 0.0, &mut found);
+        let first = self.cloth_vertices.len() as u32;
         self.body_vertex_tree
-            .refit(&self.boxes, &self.body_vertices);
-        self.cloth_face_tree.refit(&self.boxes, &fabric.faces);
-        self.cloth_edge_tree.refit(&self.boxes, &fabric.edges);
-        self.body_face_tree.refit(&self.boxes, &self.body_faces);
-        self.body_edge_tree.refit(&self.boxes, &self.body_edges);
+            .meeting(&query, 0.0, |v| found(first + v));
+    }
+
+    /// Edges of cloth and body that an edge can meet.
+    pub fn edges_meeting(&self, edge: [u32; 2], fabric: &Fabric, mut found: impl FnMut([u32; 2])) {
+        let query = MovingBox::around(&self.boxes, edge);
+        self.cloth_edge_tree
+            .meeting(&query, 0.0, |e| found(fabric.edges[e as usize]));
+        self.body_edge_tree
+            .meeting(&query, 0.0, |e| found(self.body_edges[e as usize]));
     }
 
     /// Faces of the body near cloth vertex `v`: vertex, then the face's.

@@ -1,10 +1,11 @@
 //! Where each vertex can be until the next search: its *tube*.
 //!
-//! A tube is a straight line, position plus velocity, with a radius that grows
-//! by `radius` in every substep: 1.5 times what the vertex recently deviated
-//! from its line, between 0.15 and 2 mm. The body moves linearly within a
-//! frame, its tubes have radius 0. A vertex that is further out of its tube
-//! than [`SLACK_M`], a fraction of every thickness, calls for a new search.
+//! A tube is a straight line, position plus velocity; in each substep a vertex
+//! may deviate by `radius` from the line's step: 1.5 times what it recently
+//! did, between 0.15 and 2 mm. The body moves linearly within a frame, its
+//! tubes have radius 0. A vertex that deviates more is a stray
+//! ([`super::strays`]); one that in all is [`SLACK_M`] out of its tube, a
+//! fraction of every thickness, calls for a new search.
 
 use glam::DVec3;
 
@@ -71,6 +72,11 @@ impl Tubes {
         self.age = Some(0);
     }
 
+    /// How far the present substep of a cloth vertex deviates from its line's step, m.
+    pub fn deviation(&self, state: &State, i: usize) -> f64 {
+        (state.p[i] - state.x[i]).distance(self.step[i])
+    }
+
     /// Notes where the substep led.
     pub fn observe(&mut self, state: &State) {
         let Some(age) = &mut self.age else { return };
@@ -78,10 +84,11 @@ impl Tubes {
         let count = f64::from(*age);
         let mut left = false;
         for i in 0..state.cloth {
-            let line = self.start[i] + count * self.step[i];
-            let deviation = state.x[i].distance(line) / count;
+            // Positions have been swapped: `p` is where the substep began.
+            let deviation = (state.x[i] - state.p[i]).distance(self.step[i]);
             self.deviation[i] = self.deviation[i].max(deviation);
-            left |= (deviation - self.radius[i]) * count > SLACK_M;
+            let line = self.start[i] + count * self.step[i];
+            left |= state.x[i].distance(line) - self.radius[i] * count > SLACK_M;
         }
         if left {
             self.age = None;

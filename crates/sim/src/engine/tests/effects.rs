@@ -1,0 +1,134 @@
+//! Effects on demand.
+
+use super::*;
+
+fn dressed_ball(effects: &[Effect], change: impl Fn(&mut Material)) -> Engine {
+    let body = Body::ball([0.0; 3], 2.0);
+    let mut garments = [
+        sheet(11, 11, 0.25, 0, |x, y| [x - 1.25, y - 1.1, 2.06]),
+        sheet(11, 11, 0.25, 1, |x, y| [x - 1.3, y - 1.15, 2.15]),
+    ];
+    for garment in &mut garments {
+        change(&mut garment.material);
+    }
+    engine(&garments, &body, effects)
+}
+
+fn run(engine: &mut Engine, wind: Wind) -> Vec<u32> {
+    let body = Body::ball([0.0; 3], 2.0);
+    for frame in 1..=6 {
+        engine
+            .advance(&body.moved([0.05 * frame as f32, 0.0, 0.0]), wind, FRAME_S)
+            .unwrap();
+    }
+    bits(engine)
+}
+
+#[test]
+fn what_a_scene_does_not_call_for_never_runs() {
+    let all = [&USUAL[..], &[Effect::Wind]].concat();
+    for left_out in &all {
+        let effects: Vec<Effect> = all.iter().copied().filter(|e| e != left_out).collect();
+        let mut engine = dressed_ball(&effects, |_| {});
+        run(&mut engine, wind(100.0));
+        for effect in &all {
+            let passes = engine.passes(*effect);
+            assert_eq!(
+                passes == 0,
+                effect == left_out,
+                "{effect:?} ran {passes} times without {left_out:?}"
+            );
+        }
+        assert_eq!(engine.passes(Effect::Waistband), 0);
+    }
+}
+
+#[test]
+fn one_garment_without_a_body_has_no_contacts_but_its_own() {
+    let garment = sheet(4, 4, 0.25, 0, |x, y| [x, y, 0.0]);
+    let mut engine = engine(&[garment], &Body::default(), &USUAL);
+    engine.advance(&[], Wind::default(), FRAME_S).unwrap();
+    assert_eq!(engine.passes(Effect::LayerContact), 0);
+    assert_eq!(engine.passes(Effect::BodyContact), 0);
+    assert!(engine.passes(Effect::SelfContact) > 0);
+}
+
+#[test]
+fn an_effect_of_size_zero_is_an_effect_not_called_for() {
+    let without = |effect: Effect| -> Vec<Effect> {
+        USUAL.iter().copied().filter(|e| *e != effect).collect()
+    };
+    let compare = |effect: Effect, change: fn(&mut Material)| {
+        let left_out = run(&mut dressed_ball(&without(effect), change), Wind::default());
+        let mut forced = dressed_ball(&USUAL, change);
+        assert_eq!(left_out, run(&mut forced, Wind::default()), "{effect:?}");
+        assert!(forced.passes(effect) > 0, "{effect:?} was to be forced on");
+    };
+    compare(Effect::Bending, |material| material.bending = 0.0);
+    compare(Effect::Shear, |material| material.shear = 0.0);
+    compare(Effect::Stretch, |material| {
+        material.tension = 0.0;
+        material.compression = 0.0;
+    });
+
+    let calm = run(&mut dressed_ball(&USUAL, |_| {}), Wind::default());
+    let with_wind = [&USUAL[..], &[Effect::Wind]].concat();
+    let mut windless = dressed_ball(&with_wind, |_| {});
+    assert_eq!(calm, run(&mut windless, wind(0.0)));
+    assert!(windless.passes(Effect::Wind) > 0);
+
+    let weightless = |effects: &[Effect]| {
+        let scene = ScenePhysics {
+            gravity: [0.0; 3],
+            ..physics(effects)
+        };
+        let garment = sheet(5, 5, 0.25, 0, |x, y| [x, y, 0.1 * x * y]);
+        let settings = EngineSettings::default();
+        let mut engine = Engine::new(&[garment], &[], &[], &[], &scene, &settings).unwrap();
+        for _ in 0..4 {
+            engine.advance(&[], wind(200.0), FRAME_S).unwrap();
+        }
+        bits(&engine)
+    };
+    let gravityless: Vec<Effect> = with_wind
+        .iter()
+        .copied()
+        .filter(|e| *e != Effect::Gravity)
+        .collect();
+    assert_eq!(weightless(&with_wind), weightless(&gravityless));
+
+    let smooth = |effects: &[Effect]| {
+        let scene = ScenePhysics {
+            body_friction: 0.0,
+            ..physics(effects)
+        };
+        let body = Body::ball([0.0; 3], 2.0);
+        let garment = sheet(11, 11, 0.25, 0, |x, y| [x - 1.25, y - 1.1, 2.06]);
+        let garment = Garment {
+            material: Material {
+                friction: 0.0,
+                ..MATERIAL
+            },
+            ..garment
+        };
+        let settings = EngineSettings::default();
+        let mut engine = Engine::new(
+            &[garment],
+            &[],
+            &body.faces,
+            &body.positions,
+            &scene,
+            &settings,
+        )
+        .unwrap();
+        run(&mut engine, Wind::default())
+    };
+    assert_eq!(smooth(&USUAL), smooth(&without(Effect::Friction)));
+}
+
+#[test]
+fn the_same_input_gives_the_same_bits() {
+    let effects = [&USUAL[..], &[Effect::Wind]].concat();
+    let run = || run(&mut dressed_ball(&effects, |_| {}), wind(300.0));
+    assert_eq!(run(), run());
+}
