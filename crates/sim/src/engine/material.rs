@@ -45,7 +45,7 @@ impl Cloth {
                 Ok(f64::from(x))
             } else {
                 Err(SimError::value(
-                    &format!("{garment}: {name}"),
+                    format!("{garment}: {name}"),
                     "finite and not negative",
                     x,
                 ))
@@ -54,7 +54,7 @@ impl Cloth {
         let mass = check("mass", material.mass)?;
         if mass == 0.0 {
             return Err(SimError::value(
-                &format!("{garment}: mass"),
+                format!("{garment}: mass"),
                 "above 0",
                 mass,
             ));
