@@ -53,11 +53,7 @@ impl Cloth {
         };
         let mass = check("mass", material.mass)?;
         if mass == 0.0 {
-            return Err(SimError::value(
-                format!("{garment}: mass"),
-                "above 0",
-                mass,
-            ));
+            return Err(SimError::value(format!("{garment}: mass"), "above 0", mass));
         }
         Ok(Self {
             density: 0.5 * mass,
