@@ -14,12 +14,12 @@
 //!
 //! | module | effect |
 //! |---|---|
-//! | [`gravity`], [`drag`], [`wind`] | gravity, air drag, wind |
-//! | [`stretch`], [`shear`], [`bending`] | elasticity |
-//! | [`body_contact`], [`layer_contact`], [`self_contact`], [`friction`] | contacts, on the machinery of [`contact`] |
-//! | [`waistband`] | waist bands |
+//! | `gravity`, `drag`, `wind` | gravity, air drag, wind |
+//! | `stretch`, `shear`, `bending` | elasticity |
+//! | `body_contact`, `layer_contact`, `self_contact`, `friction` | contacts, on the machinery of `contact` |
+//! | `waistband` | waist bands |
 //!
-//! Surfaces that are apart at the start stay apart ([`contact`] tells why), as
+//! Surfaces that are apart at the start stay apart (`contact` tells why), as
 //! far as [`StepReport::uncertified`] is 0. Where the body crosses itself or
 //! squeezes cloth without room, no engine can be clean: whoever keeps frames
 //! counts intersections.
