@@ -8,7 +8,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use drape_model::{LayersNet, Parameters};
+use drape_model::{LayersNet, ModelError, Parameters};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -108,8 +108,13 @@ impl Trainer<'_> {
             .map(|draw| {
                 let sample = set.sample(draw, config.model.gravity)?;
                 // A state that overflowed while rolling in is refused by the model.
-                let state = roll_in(&frozen, columns, &sample, 0)
-                    .map_err(|cause| not_finite(format!("rolled-in state ({cause})"), draw))?;
+                let overflowed = |cause: TrainError| match cause {
+                    TrainError::Model(ModelError::Input { what, found, .. }) => {
+                        not_finite(format!("rolled-in {what}: {found}"), draw)
+                    }
+                    other => other,
+                };
+                let state = roll_in(&frozen, columns, &sample, 0).map_err(overflowed)?;
                 let result = sample_gradient(
                     &trainable,
                     &self.parameters,
@@ -118,7 +123,8 @@ impl Trainer<'_> {
                     &sample,
                     &state,
                     with_collisions,
-                )?;
+                )
+                .map_err(overflowed)?;
                 if let Some(name) = result.losses.not_finite() {
                     return Err(not_finite(name.into(), draw));
                 }
