@@ -38,6 +38,7 @@ pub struct Block {
     /// Receiver and query weights of the patches, stacked `[256, 128]`.
     receiver_query: Tensor,
     sender: Tensor,
+    /// `W_m + I`: memories are kept beside what is made of them.
     memory: Tensor,
     /// The four groups' W, M, c.
     groups: Tensor,
@@ -83,6 +84,7 @@ impl Block {
             groups.push(source.tensor(&format!("{mlp}.weight"))?.flatten_all()?);
             groups.push(source.tensor(&format!("{mlp}.bias"))?);
         }
+        let memory = source.tensor(&attention("memory_weight.weight"))?;
         let output = source.tensor(&attention("proj.layers.0.weight"))?;
         let n_weight = source.tensor(&attention("n_weight"))?.flatten_all()?;
         let n_bias = source.tensor(&attention("n_bias"))?.reshape((1, ()))?;
@@ -96,7 +98,7 @@ impl Block {
                 0,
             )?,
             sender: source.tensor(&attention("sender_weight.weight"))?,
-            memory: source.tensor(&attention("memory_weight.weight"))?,
+            memory: (&memory + Tensor::eye(memory.dim(0)?, memory.dtype(), memory.device())?)?,
             groups: Tensor::cat(&groups, 0)?,
             output_bias: linear(&n_bias, &output, &bias, Activation::None)?.flatten_all()?,
             output_weight: output.broadcast_mul(&n_weight)?,
@@ -156,11 +158,9 @@ impl Block {
             &Tensor::cat(&[&tokens.receiver, &tokens.sender], 0)?,
             &self.memory,
         )?;
-        let r = ((receiver_query.narrow(1, 0, 128)? + memories.narrow(0, 0, patches)?)?
-            + &tokens.receiver)?;
+        let r = (receiver_query.narrow(1, 0, 128)? + memories.narrow(0, 0, patches)?)?;
         let q = receiver_query.narrow(1, 128, 128)?;
-        let s = ((product(&tokens.state, &self.sender)? + memories.narrow(0, patches, rows)?)?
-            + &tokens.sender)?;
+        let s = (product(&tokens.state, &self.sender)? + memories.narrow(0, patches, rows)?)?;
         let attended = attend(
             &Tensor::cat(&[&r, &q.contiguous()?, &s], 0)?,
             &self.groups,

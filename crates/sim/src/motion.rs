@@ -125,7 +125,7 @@ pub struct LeadIn {
 }
 
 impl Motion {
-    /// A motion at random: a main movement and mostly a second one.
+    /// A brisk motion at random: a main movement and mostly a second one.
     pub fn sample(rng: &mut impl Rng) -> Self {
         let mut movements = Vec::new();
         let side = |rng: &mut _, low: f64, high: f64| {
@@ -137,42 +137,42 @@ impl Motion {
             }
         };
         let arm_raise = |rng: &mut _| {
-            let angle = Rng::random_range(rng, 35.0..75.0);
+            let angle = Rng::random_range(rng, 50.0..100.0);
             let one = Rng::random_bool(rng, 0.3);
             Movement::ArmRaise {
                 angle_deg: [angle, if one { 0.3 * angle } else { angle }],
-                period_s: Rng::random_range(rng, 1.4..2.2),
+                period_s: Rng::random_range(rng, 2.2..3.4),
                 phase: Rng::random_range(rng, 0.0..1.0),
             }
         };
         match rng.random_range(0..6) {
             0 | 1 => {
                 movements.push(Movement::Walk {
-                    period_s: rng.random_range(1.0..1.3),
+                    period_s: rng.random_range(1.1..1.4),
                     stride_deg: rng.random_range(16.0..26.0),
                     arms: rng.random_range(0.6..1.1),
                     phase: rng.random_range(0.0..1.0),
                 });
                 if rng.random_bool(0.5) {
                     movements.push(Movement::Turn {
-                        angle_deg: side(rng, 40.0, 110.0),
+                        angle_deg: side(rng, 20.0, 50.0),
                         start_s: rng.random_range(0.0..0.5),
-                        duration_s: rng.random_range(0.9..1.4),
+                        duration_s: rng.random_range(1.2..1.8),
                     });
                 }
             }
             2 => {
                 movements.push(Movement::Turn {
-                    angle_deg: side(rng, 70.0, 150.0),
+                    angle_deg: side(rng, 30.0, 70.0),
                     start_s: rng.random_range(0.0..0.4),
-                    duration_s: rng.random_range(0.8..1.2),
+                    duration_s: rng.random_range(1.3..2.0),
                 });
                 movements.push(if rng.random_bool(0.5) {
                     arm_raise(rng)
                 } else {
                     Movement::Sway {
-                        angle_deg: rng.random_range(6.0..11.0),
-                        period_s: rng.random_range(1.0..1.6),
+                        angle_deg: rng.random_range(8.0..14.0),
+                        period_s: rng.random_range(1.6..2.4),
                         phase: rng.random_range(0.0..1.0),
                     }
                 });
@@ -181,23 +181,23 @@ impl Motion {
                 movements.push(arm_raise(rng));
                 movements.push(if rng.random_bool(0.5) {
                     Movement::Twist {
-                        angle_deg: rng.random_range(15.0..30.0),
-                        period_s: rng.random_range(1.2..1.8),
+                        angle_deg: rng.random_range(20.0..40.0),
+                        period_s: rng.random_range(1.8..2.8),
                         phase: rng.random_range(0.0..1.0),
                     }
                 } else {
                     Movement::LegLift {
                         left: rng.random_bool(0.5),
-                        angle_deg: rng.random_range(25.0..45.0),
-                        period_s: rng.random_range(1.4..2.0),
+                        angle_deg: rng.random_range(35.0..60.0),
+                        period_s: rng.random_range(2.0..3.0),
                         phase: rng.random_range(0.0..1.0),
                     }
                 });
             }
             4 => {
                 movements.push(Movement::Squat {
-                    knee_deg: rng.random_range(50.0..80.0),
-                    period_s: rng.random_range(1.2..1.7),
+                    knee_deg: rng.random_range(60.0..100.0),
+                    period_s: rng.random_range(2.0..3.2),
                     phase: rng.random_range(0.0..1.0),
                 });
                 if rng.random_bool(0.5) {
@@ -206,13 +206,13 @@ impl Motion {
             }
             _ => {
                 movements.push(Movement::Bow {
-                    angle_deg: rng.random_range(28.0..42.0),
-                    period_s: rng.random_range(1.2..1.7),
+                    angle_deg: rng.random_range(30.0..60.0),
+                    period_s: rng.random_range(2.0..3.2),
                     phase: rng.random_range(0.0..1.0),
                 });
                 movements.push(Movement::Twist {
-                    angle_deg: rng.random_range(18.0..30.0),
-                    period_s: rng.random_range(1.1..1.6),
+                    angle_deg: rng.random_range(20.0..35.0),
+                    period_s: rng.random_range(1.8..2.6),
                     phase: rng.random_range(0.0..1.0),
                 });
             }
@@ -221,6 +221,31 @@ impl Motion {
             movements,
             arms_down_deg: rng.random_range(0.0..10.0),
         }
+    }
+
+    /// The same movements at `pace` times the speed.
+    #[must_use]
+    pub fn at_pace(mut self, pace: f64) -> Self {
+        for movement in &mut self.movements {
+            match movement {
+                Movement::Walk { period_s, .. }
+                | Movement::ArmRaise { period_s, .. }
+                | Movement::Squat { period_s, .. }
+                | Movement::Twist { period_s, .. }
+                | Movement::Sway { period_s, .. }
+                | Movement::Bow { period_s, .. }
+                | Movement::LegLift { period_s, .. } => *period_s /= pace,
+                Movement::Turn {
+                    start_s,
+                    duration_s,
+                    ..
+                } => {
+                    *start_s /= pace;
+                    *duration_s /= pace;
+                }
+            }
+        }
+        self
     }
 
     /// Poses of the lead-in and of `frames` frames after it, starting from

@@ -55,3 +55,25 @@ fn motions_start_still_stay_on_the_ground_and_move_like_a_person() {
         );
     }
 }
+
+#[test]
+fn half_the_pace_takes_twice_the_frames() {
+    let body = Body::load().unwrap();
+    let shaped = body.shaped(&Shape::default());
+    let rest = fitting_pose(&body, &shaped).unwrap();
+    let lead = LeadIn { still: 0, ease: 0 };
+    for number in 0..6 {
+        let brisk = Motion::sample(&mut stream(number, "motion"));
+        let slow = brisk.clone().at_pace(0.5);
+        let poses =
+            |motion: &Motion, frames| motion.poses(&body, &shaped, &rest, 30.0, lead, frames);
+        let (brisk, slow) = (poses(&brisk, 12).unwrap(), poses(&slow, 24).unwrap());
+        for (frame, pose) in brisk.iter().enumerate() {
+            for (a, b) in pose.rotations.iter().zip(&slow[2 * frame].rotations) {
+                let apart = a.angle_between(*b).min(a.angle_between(-*b));
+                assert!(apart < 1e-6, "motion {number}, frame {frame}: {apart} rad");
+            }
+        }
+        assert_ne!(brisk[1].rotations, slow[1].rotations);
+    }
+}

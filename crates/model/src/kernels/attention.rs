@@ -188,6 +188,41 @@ struct Entry<T> {
     weight: T,
 }
 
+/// Distance, alignment and logit of an entry. A function of its own, so that it is
+/// compiled for the caller's vector units.
+#[inline(always)]
+fn score<T: Real>(
+    r: &[T; HEAD],
+    q: &[T; HEAD],
+    s: &[T; HEAD],
+    (row, body): (usize, Option<usize>),
+    bias: T,
+) -> Entry<T> {
+    let (mut squares, mut products) = ([T::zero(); HEAD], [T::zero(); HEAD]);
+    for i in 0..HEAD {
+        let d = r[i] - s[i];
+        squares[i] = d * d;
+        products[i] = q[i] * (r[i] + s[i]);
+    }
+    let squared = tree_sum(squares);
+    let floor = T::of(SQUARED_DISTANCE_FLOOR);
+    // Written so that a NaN stays a NaN and is found.
+    let distance = if squared < floor {
+        floor.sqrt()
+    } else {
+        squared.sqrt()
+    };
+    let alignment = tree_sum(products);
+    let weight = T::of(2.0 * KAPPA) * alignment / (distance + T::of(2.0 * EPSILON)) + bias;
+    Entry {
+        row,
+        body,
+        distance,
+        alignment,
+        weight,
+    }
+}
+
 impl<'a, T: Real> Input<'a, T> {
     #[inline(always)]
     fn row(&self, row: usize) -> &'a [T] {
@@ -203,50 +238,21 @@ impl<'a, T: Real> Input<'a, T> {
         let q = head(self.row(self.receivers + receiver), start);
         let list = if mesh { &edges.mesh } else { &edges.world };
         let first = 2 * self.receivers;
-        let score = |row: usize, body: Option<usize>, bias: T| {
+        for &sender in list.row(receiver) {
+            let row = first + sender as usize;
             let s = head(self.row(row), start);
-            let (mut squares, mut products) = ([T::zero(); HEAD], [T::zero(); HEAD]);
-            for i in 0..HEAD {
-                let d = r[i] - s[i];
-                squares[i] = d * d;
-                products[i] = q[i] * (r[i] + s[i]);
-            }
-            let squared = tree_sum(squares);
-            let floor = T::of(SQUARED_DISTANCE_FLOOR);
-            // Written so that a NaN stays a NaN and is found.
-            let distance = if squared < floor {
-                floor.sqrt()
-            } else {
-                squared.sqrt()
-            };
-            let alignment = tree_sum(products);
-            let weight = T::of(2.0 * KAPPA) * alignment / (distance + T::of(2.0 * EPSILON)) + bias;
-            Entry {
-                row,
-                body,
-                distance,
-                alignment,
-                weight,
-            }
-        };
-        out.extend(
-            list.row(receiver)
-                .iter()
-                .map(|&sender| score(first + sender as usize, None, T::zero())),
-        );
+            out.push(score(r, q, s, (row, None), T::zero()));
+        }
         if !mesh {
             let range =
                 edges.body.offsets[receiver] as usize..edges.body.offsets[receiver + 1] as usize;
             let counts = &edges.body_log_count[range.clone()];
-            out.extend(
-                edges.body.items[range]
-                    .iter()
-                    .zip(counts)
-                    .map(|(&token, &count)| {
-                        let row = first + edges.senders + token as usize;
-                        score(row, Some(token as usize), T::of(f64::from(count)))
-                    }),
-            );
+            for (&token, &count) in edges.body.items[range].iter().zip(counts) {
+                let row = first + edges.senders + token as usize;
+                let s = head(self.row(row), start);
+                let bias = T::of(f64::from(count));
+                out.push(score(r, q, s, (row, Some(token as usize)), bias));
+            }
         }
         let largest = out.iter().fold(T::neg_infinity(), |top, entry| {
             if entry.weight > top || entry.weight.is_nan() {

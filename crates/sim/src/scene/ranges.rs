@@ -29,6 +29,9 @@ pub struct SceneRanges {
     /// Vertices of an outfit, roughly: the meshes' edge length follows from it.
     /// More: finer folds, slower in proportion.
     pub outfit_vertices: f64,
+    /// Speed of the motions: 1 is brisk (a step takes 0.6 s, a squat 2.6 s).
+    /// Cloth on slower bodies swings less.
+    pub pace: [f64; 2],
     /// Share of the sequences without wind.
     pub calm_share: f64,
     /// Strength of the wind in the paper's units.
@@ -75,13 +78,11 @@ impl Default for SceneRanges {
                 vec![Dress, Jacket],
             ],
             fps: 30.0,
-            outfit_vertices: 1900.0,
+            outfit_vertices: 1650.0,
+            pace: [0.5, 0.75],
             calm_share: 0.5,
-            wind_strength: [50.0, 250.0],
-            lead_in: LeadIn {
-                still: 12,
-                ease: 25,
-            },
+            wind_strength: [20.0, 100.0],
+            lead_in: LeadIn { still: 8, ease: 40 },
             body: ShapeRanges::default(),
             material: MaterialRanges::default(),
         }
@@ -109,6 +110,7 @@ impl SceneRanges {
         let wide = |values: [f32; 2]| values.map(f64::from);
         range("outfit_vertices", [self.outfit_vertices; 2], [100.0, 1e5])?;
         range("wind_strength", wide(self.wind_strength), [0.0, 400.0])?;
+        range("pace", self.pace, [0.05, 3.0])?;
         range("calm_share", [self.calm_share; 2], [0.0, 1.0])?;
         range("fps", [f64::from(self.fps); 2], [1.0, 1000.0])?;
         range("material.mass", wide(self.material.mass), [0.01, 10.0])?;
@@ -175,7 +177,8 @@ impl SceneRanges {
             edge_m: edge_for(self.outfit_vertices, &garments, shape.height),
             garments,
             gravity: [0.0, 0.0, -98.1],
-            motion: Motion::sample(&mut part("motion")),
+            motion: Motion::sample(&mut part("motion"))
+                .at_pace(between(&mut part("pace"), self.pace)),
             lead_in: self.lead_in,
             wind: if calm {
                 Vec::new()
