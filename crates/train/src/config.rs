@@ -36,7 +36,7 @@ pub struct TrainConfig {
 pub struct Schedule {
     /// Epochs. Default 10.
     pub epochs: usize,
-    /// Draws of one epoch. More: better, longer. Default 600.
+    /// Draws of one epoch. More: better, longer. Default 440.
     pub samples_per_epoch: usize,
     /// Samples whose gradients are averaged for one update. Default 4.
     pub batch: usize,
@@ -57,7 +57,7 @@ impl Default for Schedule {
     fn default() -> Self {
         Self {
             epochs: 10,
-            samples_per_epoch: 460,
+            samples_per_epoch: 440,
             batch: 4,
             learning_rate: 1e-3,
             halve_every_epochs: 2,
