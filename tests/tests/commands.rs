@@ -102,44 +102,76 @@ fn a_run_is_trained_measured_rolled_out_and_inspected() {
     );
 }
 
-/// A signal is sent as a terminal does it; other systems have no `kill`.
+/// Starts a program, waits until `begun` is there, and interrupts it as a terminal
+/// does (other systems have no `kill`). Returns its exit code.
 #[cfg(unix)]
-#[test]
-fn ctrl_c_ends_training_with_130_and_a_checkpoint() {
+fn interrupted(name: &str, folder: &Path, arguments: &[&str], begun: &Path) -> Option<i32> {
     use std::{
         process::{Command, Stdio},
         thread::sleep,
         time::Duration,
     };
 
-    let folder = with_data();
-    let folder = folder.path();
-    let mut arguments = TRAIN;
-    arguments[5] = "4";
-    arguments[7] = "400";
-    let mut child = drape_tests::programs::program("drape-train", folder)
+    let mut child = drape_tests::programs::program(name, folder)
         .args(arguments)
         .stdout(Stdio::null())
         .stderr(Stdio::null())
         .spawn()
         .unwrap();
-    // The record is written when training starts.
-    while !folder.join("runs/small/run.json").exists() {
+    while !begun.exists() {
         assert!(
             child.try_wait().unwrap().is_none(),
-            "training ended before it began"
+            "{name} ended before it began"
         );
         sleep(Duration::from_millis(20));
     }
     let id = child.id().to_string();
-    assert!(
-        Command::new("kill")
-            .args(["-INT", &id])
-            .status()
-            .unwrap()
-            .success()
-    );
-    assert_eq!(child.wait().unwrap().code(), Some(130));
+    let kill = Command::new("kill").args(["-INT", &id]).status().unwrap();
+    assert!(kill.success());
+    child.wait().unwrap().code()
+}
+
+/// The index is written last: a folder without it is not a data set yet.
+#[cfg(unix)]
+#[test]
+fn ctrl_c_ends_generation_with_130_and_whole_sequences_only() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    fs::write(
+        folder.join("tiny.toml"),
+        "train_sequences = 3\ntest_sequences = 1\nframes = 3\n[scene]\noutfit_vertices = 300.0\n\
+         [scene.lead_in]\nstill = 1\nease = 2\n",
+    )
+    .unwrap();
+    let arguments = ["--config", "tiny.toml", "--out", "made", "--threads", "1"];
+    let first = folder.join("made/train_0000.mcap");
+    let code = interrupted("drape-generate", folder, &arguments, &first);
+    assert_eq!(code, Some(130));
+    assert!(!folder.join("made/dataset.json").exists());
+    for entry in fs::read_dir(folder.join("made")).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_some_and(|end| end == "mcap") {
+            assert_eq!(SequenceReader::open(&path).unwrap().frame_count(), 3);
+        }
+    }
+    let kept = fs::read(&first).unwrap();
+    succeed("drape-generate", folder, &arguments);
+    assert_eq!(fs::read(&first).unwrap(), kept, "made again");
+    assert!(folder.join("made/dataset.json").is_file());
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_ends_training_with_130_and_a_checkpoint() {
+    let folder = with_data();
+    let folder = folder.path();
+    let mut arguments = TRAIN;
+    arguments[5] = "4";
+    arguments[7] = "400";
+    // The record is written when training starts.
+    let record = folder.join("runs/small/run.json");
+    let code = interrupted("drape-train", folder, &arguments, &record);
+    assert_eq!(code, Some(130));
     assert!(
         folder
             .join("runs/small/checkpoint/weights.safetensors")

@@ -57,3 +57,28 @@ fn the_default_has_the_published_number_of_weights() {
     let parameters = Parameters::new(&ModelConfig::default(), 0).unwrap();
     assert_eq!(parameters.count(), 1_018_719);
 }
+
+/// Two frames of `[pos, vel]`: what a layer says to a velocity held over both
+/// frames, and to a change of it, against what it says to a position.
+#[test]
+fn weights_start_as_wide_as_the_states_they_read_are_narrow() {
+    let parameters = Parameters::new(&ModelConfig::default(), 0).unwrap();
+    let layers = [
+        ("backbone.input_projection.layers.0.0.weight", 1.0, 4.0),
+        ("decode_head.proj.layers.0.0.weight", 30.0, 100.0),
+    ];
+    for (name, velocity, change) in layers {
+        let rows: Vec<Vec<f32>> = parameters.get(name).unwrap().to_vec2().unwrap();
+        let spread = |of: &dyn Fn(&[f32], usize) -> f32| {
+            let squares = rows
+                .iter()
+                .flat_map(|row| (0..3).map(move |axis| of(row, axis).powi(2)));
+            (squares.sum::<f32>() / (3 * rows.len()) as f32).sqrt()
+        };
+        let position = spread(&|row, axis| row[axis]);
+        let held = spread(&|row, axis| row[3 + axis] + row[9 + axis]) / position;
+        let older = spread(&|row, axis| row[9 + axis]) / position;
+        assert!((held / velocity - 1.0).abs() < 0.2, "{name}: {held}");
+        assert!((older / change - 1.0).abs() < 0.2, "{name}: {older}");
+    }
+}

@@ -29,7 +29,7 @@ use drape_eval::{
     tally::Tally,
     task::Clip,
 };
-use drape_train::run::RunFolder;
+use drape_train::run::{RunFolder, write_atomic};
 use indicatif::{ProgressBar, ProgressStyle};
 
 #[global_allocator]
@@ -237,7 +237,7 @@ fn write(folder: &Path, table: &Table) -> Result<()> {
         ("table.json", json),
     ] {
         let path = folder.join(name);
-        fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
+        write_atomic(&path, text.as_bytes())?;
     }
     Ok(())
 }

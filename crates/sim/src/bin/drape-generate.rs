@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use clap::Parser;
 use drape_dataset::sequence::{Frame, SequenceHeader};
 use drape_dataset::splits::{DatasetIndex, INDEX_FILE, Split};
@@ -135,10 +135,11 @@ fn run(arguments: &Arguments) -> Result<ExitCode> {
     bar.finish_and_clear();
     report(&outcomes, &config, started.elapsed());
     if STOP.load(Ordering::Relaxed) {
-        bail!(
+        eprintln!(
             "interrupted; finished sequences are in {}: run the same command again to go on",
             arguments.out.display()
         );
+        return Ok(ExitCode::from(130));
     }
     write_index(&arguments.out, &jobs, &outcomes)?;
     let failed = outcomes
