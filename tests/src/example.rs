@@ -32,13 +32,26 @@ pub fn write_dataset(folder: &Path, splits: &[Split]) -> Result<(), DatasetError
 /// # Errors
 /// When the file cannot be written.
 pub fn write_sequence(path: &Path, name: &str, motion: f64) -> Result<(), DatasetError> {
+    write_frames(path, name, motion, FRAMES)
+}
+
+/// [`write_sequence`] with another number of frames.
+///
+/// # Errors
+/// As [`write_sequence`].
+pub fn write_frames(
+    path: &Path,
+    name: &str,
+    motion: f64,
+    frames: usize,
+) -> Result<(), DatasetError> {
     let mut scene = Scene::new(SceneConfig {
         motion,
         ..SceneConfig::default()
     });
     scene.header.name = name.to_owned();
     let mut writer = SequenceWriter::create(path, &scene.header)?;
-    for frame in scene.frames(FRAMES) {
+    for frame in scene.frames(frames) {
         writer.push(&frame)?;
     }
     writer.finish()

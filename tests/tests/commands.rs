@@ -3,9 +3,12 @@
 
 use std::{fs, path::Path, process::Output};
 
-use drape_dataset::{SequenceReader, splits::Split};
+use drape_dataset::{
+    SequenceReader,
+    splits::{DatasetIndex, Split},
+};
 use drape_tests::{
-    example::{FRAMES, write_dataset},
+    example::{FRAMES, write_dataset, write_frames},
     programs::{printed, run},
 };
 use serde_json::Value;
@@ -102,23 +105,29 @@ fn a_run_is_trained_measured_rolled_out_and_inspected() {
     );
 }
 
-/// Starts a program, waits until `begun` is there, and interrupts it as a terminal
-/// does (other systems have no `kill`). Returns its exit code.
+/// Starts a program, waits until `begun` says that work has begun, and interrupts it as a
+/// terminal does (other systems have no `kill`). Returns its exit code.
 #[cfg(unix)]
-fn interrupted(name: &str, folder: &Path, arguments: &[&str], begun: &Path) -> Option<i32> {
+fn interrupted(
+    name: &str,
+    folder: &Path,
+    arguments: &[&str],
+    begun: impl Fn(&str) -> bool,
+) -> Option<i32> {
     use std::{
         process::{Command, Stdio},
         thread::sleep,
         time::Duration,
     };
 
+    let said = folder.join("said.txt");
     let mut child = drape_tests::programs::program(name, folder)
         .args(arguments)
         .stdout(Stdio::null())
-        .stderr(Stdio::null())
+        .stderr(fs::File::create(&said).unwrap())
         .spawn()
         .unwrap();
-    while !begun.exists() {
+    while !begun(&fs::read_to_string(&said).unwrap()) {
         assert!(
             child.try_wait().unwrap().is_none(),
             "{name} ended before it began"
@@ -145,7 +154,7 @@ fn ctrl_c_ends_generation_with_130_and_whole_sequences_only() {
     .unwrap();
     let arguments = ["--config", "tiny.toml", "--out", "made", "--threads", "1"];
     let first = folder.join("made/train_0000.mcap");
-    let code = interrupted("drape-generate", folder, &arguments, &first);
+    let code = interrupted("drape-generate", folder, &arguments, |_| first.exists());
     assert_eq!(code, Some(130));
     assert!(!folder.join("made/dataset.json").exists());
     for entry in fs::read_dir(folder.join("made")).unwrap() {
@@ -170,7 +179,7 @@ fn ctrl_c_ends_training_with_130_and_a_checkpoint() {
     arguments[7] = "400";
     // The record is written when training starts.
     let record = folder.join("runs/small/run.json");
-    let code = interrupted("drape-train", folder, &arguments, &record);
+    let code = interrupted("drape-train", folder, &arguments, |_| record.exists());
     assert_eq!(code, Some(130));
     assert!(
         folder
@@ -184,4 +193,35 @@ fn ctrl_c_ends_training_with_130_and_a_checkpoint() {
         "{}",
         printed(&output)
     );
+}
+
+/// Tables and predictions are written when all is computed: before, nothing is there.
+#[cfg(unix)]
+#[test]
+fn ctrl_c_ends_evaluation_and_rollout_with_130_and_nothing_written() {
+    let folder = with_data();
+    let folder = folder.path();
+    let mut arguments = TRAIN;
+    arguments[7] = "4";
+    succeed("drape-train", folder, &arguments);
+    // Long enough not to end before the interrupt.
+    fs::create_dir(folder.join("long")).unwrap();
+    write_frames(&folder.join("long/long.mcap"), "long", 1.0, 1500).unwrap();
+    let mut index = DatasetIndex::new(folder.join("long"), "long");
+    index.add("long.mcap", Split::Test).unwrap();
+    index.save().unwrap();
+
+    let evaluate = ["--data", "long", "--steps", "1400"];
+    let code = interrupted("drape-eval", folder, &evaluate, |said| {
+        said.contains("1 sequences of long")
+    });
+    assert_eq!(code, Some(130));
+    assert!(!folder.join("runs/small/eval").exists());
+
+    let predict = ["long/long.mcap", "--out", "made/predicted.mcap"];
+    let code = interrupted("drape-rollout", folder, &predict, |said| {
+        said.contains("predicting 1497 frames of long")
+    });
+    assert_eq!(code, Some(130));
+    assert!(!folder.join("made").exists());
 }

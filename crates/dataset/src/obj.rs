@@ -6,9 +6,11 @@
 //! silently triangulated, or whose missing UVs were invented, trains silently
 //! wrong. Normals, groups, smoothing and materials are read over.
 //!
-//! The parser is this file's own, not `tobj`'s: that one numbers vertices anew
-//! in the order of the faces (which breaks the link to recorded frames),
-//! invents missing UVs and knows no line numbers. Tests compare the two.
+//! `tobj` reads the mesh. What it would pass over in silence is checked line by
+//! line before: it invents missing UVs, takes index 0 for none, and knows no
+//! line numbers. It also numbers vertices in the order in which faces name them,
+//! which would break the link to recorded frames: a first face that names all in
+//! the file's order prevents that.
 
 use std::fmt::Write;
 use std::fs;
@@ -57,41 +59,30 @@ impl GarmentMesh {
 
     /// Like [`read`](Self::read), from text.
     pub fn parse(text: &str) -> Result<Self> {
-        let mut mesh = Self {
-            rest: Vec::new(),
-            faces: Vec::new(),
-            uv: Vec::new(),
-            uv_faces: Vec::new(),
-            panel_of_face: Vec::new(),
-            panel_count: 0,
-        };
+        // The text without what tobj need not see, its faces counted from 1.
+        let mut plain = String::new();
         // Line of each vertex, UV and face, to name it when a later check fails.
-        let (mut vertex_line, mut face_line) = (Vec::new(), Vec::new());
+        let (mut vertex_line, mut uv_line, mut face_line) = (Vec::new(), Vec::new(), Vec::new());
         for (number, line) in (1..).zip(text.lines()) {
             let at = |error: DatasetError| error.at(&format!("line {number}"));
             let mut words = line.split_whitespace();
             match words.next() {
                 Some("v") => {
                     // Colours or a weight may follow.
-                    mesh.rest.push(numbers("vertex", words).map_err(at)?);
+                    let [x, y, z] = numbers("vertex", words).map_err(at)?;
+                    writeln!(plain, "v {x} {y} {z}").expect("memory");
                     vertex_line.push(number);
                 }
                 Some("vt") => {
-                    let uv = numbers::<2>("UV", words).map_err(at)?;
-                    if !uv.iter().all(|x| (0.0..=1.0).contains(x)) {
-                        return Err(at(DatasetError::invalid(
-                            "UV",
-                            "two numbers in [0, 1] (scale all UVs by one factor and divide \
-                             metres_per_uv by it)",
-                            format!("{uv:?}"),
-                        )));
-                    }
-                    mesh.uv.push(uv);
+                    let [u, v] = numbers("UV", words).map_err(at)?;
+                    writeln!(plain, "vt {u} {v}").expect("memory");
+                    uv_line.push(number);
                 }
                 Some("f") => {
-                    let corners = corners(words, mesh.rest.len(), mesh.uv.len()).map_err(at)?;
-                    mesh.faces.push(corners.map(|(vertex, _)| vertex));
-                    mesh.uv_faces.push(corners.map(|(_, uv)| uv));
+                    let [a, b, c] = corners(words, vertex_line.len(), uv_line.len())
+                        .map_err(at)?
+                        .map(|(vertex, uv)| format!("{}/{}", vertex + 1, uv + 1));
+                    writeln!(plain, "f {a} {b} {c}").expect("memory");
                     face_line.push(number);
                 }
                 Some("vn" | "vp" | "o" | "g" | "s" | "usemtl" | "mtllib") | None => {}
@@ -105,12 +96,23 @@ impl GarmentMesh {
                 }
             }
         }
-        if mesh.faces.is_empty() {
+        if face_line.is_empty() {
             return Err(DatasetError::invalid(
                 "faces",
                 "at least one triangle",
                 "none",
             ));
+        }
+        let mut mesh = Self::read_plain(&plain, vertex_line.len(), uv_line.len())?;
+        for (uv, line) in mesh.uv.iter().zip(uv_line) {
+            if !uv.iter().all(|x| (0.0..=1.0).contains(x)) {
+                return Err(DatasetError::invalid(
+                    format!("line {line}, UV"),
+                    "two numbers in [0, 1] (scale all UVs by one factor and divide \
+                     metres_per_uv by it)",
+                    format!("{uv:?}"),
+                ));
+            }
         }
         for (face, line) in face_line.iter().enumerate() {
             check_area(&mesh, face).map_err(|error| error.at(&format!("line {line}")))?;
@@ -129,6 +131,37 @@ impl GarmentMesh {
         }
         (mesh.panel_of_face, mesh.panel_count) = uv_islands(&mesh.uv_faces, mesh.uv.len());
         Ok(mesh)
+    }
+
+    /// A checked file of triangles, with vertices and UVs in its order; panels are not found yet.
+    fn read_plain(plain: &str, vertices: usize, uvs: usize) -> Result<Self> {
+        let mut text = String::from("f");
+        for corner in 1..=vertices.max(uvs) {
+            write!(text, " {}/{}", corner.min(vertices), corner.min(uvs)).expect("memory");
+        }
+        text.push('\n');
+        text.push_str(plain);
+        let refused = |found: String| DatasetError::invalid("OBJ", "what tobj can read", found);
+        let options = tobj::LoadOptions::default();
+        let (mut models, _) =
+            tobj::load_obj_buf(&mut text.as_bytes(), &options, |_| Ok(Default::default()))
+                .map_err(|cause| refused(cause.to_string()))?;
+        let mesh = match (models.pop(), models.is_empty()) {
+            (Some(model), true) => model.mesh,
+            _ => return Err(refused("not one mesh".into())),
+        };
+        let triangles = |indices: &[u32]| -> Vec<[u32; 3]> {
+            let (faces, _) = indices[vertices.max(uvs)..].as_chunks();
+            faces.to_vec()
+        };
+        Ok(Self {
+            rest: mesh.positions.as_chunks().0.to_vec(),
+            faces: triangles(&mesh.indices),
+            uv: mesh.texcoords.as_chunks().0.to_vec(),
+            uv_faces: triangles(&mesh.texcoord_indices),
+            panel_of_face: Vec::new(),
+            panel_count: 0,
+        })
     }
 
     /// The mesh as a garment of an outfit; panels are named `panel_0` and so on.

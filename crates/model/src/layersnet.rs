@@ -16,10 +16,10 @@ use crate::config::{ModelConfig, OutputScale};
 use crate::error::Result;
 use crate::frames::{rotate, transposed};
 use crate::graph::{Anchor, FrameGraph};
+use crate::kernels::decoder::{Segments, decode};
 use crate::kernels::layer_norm::layer_norm;
 use crate::kernels::linear::{Activation, linear};
 use crate::kernels::row_map::{RowMap, map_rows};
-use crate::kernels::segment_mean::segment_mean;
 use crate::parameters::{Parameters, rotation_name};
 
 /// Weight and bias of a linear layer.
@@ -113,10 +113,12 @@ pub struct LayersNet {
     blocks: Vec<Block>,
     /// Decoder's rotation weight, transposed for a product: `[3, 128]`.
     rotation: Tensor,
-    /// First decoder layer on the 18 numbers it depends on.
-    decoder_first: Affine,
-    decoder_second: Affine,
+    /// First decoder layer on the 18 numbers it depends on, and the second: weight,
+    /// then bias.
+    decoder_hidden: [Tensor; 2],
     decoder_last: Affine,
+    /// Whether weights receive gradients.
+    trainable: bool,
     dtype: DType,
 }
 
@@ -178,6 +180,10 @@ impl LayersNet {
                 .contiguous()?
                 .matmul(&rotation)?,
         ];
+        let second = source.affine("decode_head.proj.layers.1.0")?;
+        let joined = |weight: &Tensor, bias: &Tensor| -> Result<Tensor> {
+            Ok(Tensor::cat(&[&weight.flatten_all()?, bias], 0)?)
+        };
         let mut blocks = Vec::new();
         for index in 0..config.blocks {
             blocks.push(Block::new(config, source, index)?);
@@ -195,11 +201,11 @@ impl LayersNet {
             receiver_norm: source.norm("backbone.receiver_norm")?,
             sender_norm: source.norm("backbone.sender_norm")?,
             blocks,
-            decoder_first: Affine {
-                weight: Tensor::cat(&columns, 1)?,
-                bias: wide.bias,
-            },
-            decoder_second: source.affine("decode_head.proj.layers.1.0")?,
+            decoder_hidden: [
+                joined(&Tensor::cat(&columns, 1)?, &wide.bias)?,
+                joined(&second.weight, &second.bias)?,
+            ],
+            trainable: source.trainable,
             decoder_last: source.affine("decode_head.proj.layers.2")?,
             rotation: rotation.t()?.contiguous()?,
         })
@@ -346,12 +352,16 @@ impl LayersNet {
             ],
             1,
         )?;
-        let hidden = self.decoder_first.apply(&features, Activation::Relu)?;
-        let hidden = self.decoder_second.apply(&hidden, Activation::Relu)?;
-        // The last layer is linear, so the mean over a vertex's patches is taken before it.
-        let per_vertex = segment_mean(&hidden.narrow(0, 0, pairs)?, graph.slot_offsets.clone())?;
-        let joined = Tensor::cat(&[&per_vertex, &hidden.narrow(0, pairs, patches)?], 0)?;
-        let local = self.decoder_last.apply(&joined, Activation::None)?;
+        // The last layer is linear, so the mean over a vertex's patches is taken before it;
+        // a patch has one row of its own.
+        let own_rows = (1..=patches).map(|patch| (pairs + patch) as u32);
+        let segments = Segments {
+            offsets: graph.slot_offsets.iter().copied().chain(own_rows).collect(),
+            means: vertices,
+        };
+        let [first, second] = &self.decoder_hidden;
+        let hidden = decode(&features, first, second, segments, self.trainable)?;
+        let local = self.decoder_last.apply(&hidden, Activation::None)?;
         let columns = match self.config.output_scale {
             OutputScale::Velocity => 3,
             OutputScale::Acceleration => 6,

@@ -36,7 +36,7 @@ pub struct TrainConfig {
 pub struct Schedule {
     /// Epochs. Default 10.
     pub epochs: usize,
-    /// Draws of one epoch. More: better, longer. Default 440.
+    /// Draws of one epoch. More: better, longer. Default 420.
     pub samples_per_epoch: usize,
     /// Samples whose gradients are averaged for one update. Default 4.
     pub batch: usize,
@@ -49,6 +49,9 @@ pub struct Schedule {
     /// Most steps without gradient before the gradient step; epoch e (from 0)
     /// uses up to min(e, this). Default 9.
     pub max_steps_without_gradient: usize,
+    /// Largest smooth shift of a sample's start state, see [`crate::sway`], in units.
+    /// Default 0.3; the published program: 0.
+    pub sway: f32,
     /// First frame a sample may start from; two older frames are its history. Default 2.
     pub first_frame: usize,
 }
@@ -57,12 +60,13 @@ impl Default for Schedule {
     fn default() -> Self {
         Self {
             epochs: 10,
-            samples_per_epoch: 440,
+            samples_per_epoch: 420,
             batch: 4,
             learning_rate: 1e-3,
             halve_every_epochs: 2,
             warm_up_epochs: 1,
             max_steps_without_gradient: 9,
+            sway: 0.3,
             first_frame: 2,
         }
     }
@@ -162,6 +166,20 @@ impl TrainConfig {
                 "schedule.first_frame",
                 s.first_frame.to_string(),
                 "at least 2: velocities need two older frames",
+            );
+        }
+        if !(s.sway.is_finite() && s.sway >= 0.0) {
+            return fail(
+                "schedule.sway",
+                s.sway.to_string(),
+                "zero or a length in units",
+            );
+        }
+        if !(self.losses.return_frames.is_finite() && self.losses.return_frames >= 1.0) {
+            return fail(
+                "losses.return_frames",
+                self.losses.return_frames.to_string(),
+                "at least 1 frame",
             );
         }
         if !(s.learning_rate.is_finite() && s.learning_rate > 0.0) {

@@ -12,6 +12,7 @@ mod error;
 pub mod losses;
 pub mod run;
 pub mod step;
+pub mod sway;
 pub mod trainer;
 
 pub use error::{Result, TrainError};

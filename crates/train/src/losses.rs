@@ -9,6 +9,8 @@
 //! | layer collision | the same between layers | 0.1 |
 //! | orthogonality | Σ_W ‖WWᵀ−I‖² + ‖WᵀW−I‖² of the rotation weights | 1 |
 //!
+//! The reference x of a gradient step that follows steps without gradient is not
+//! the recorded position but a way back to it, see [`returning`].
 //! Since x̂ = x + v + a, the gradient by position is the gradient by the
 //! network's acceleration; terms are computed in f64 outside the tensor graph.
 //! Source: the published program's description, section 10.
@@ -71,6 +73,9 @@ pub struct LossConfig {
     pub layer_collision: f64,
     /// Weight of the orthogonality regulariser. Default 1.
     pub orthogonality: f64,
+    /// Frames in which a state that strayed shall return to the reference, see
+    /// [`returning`]. Default 5; 1, at once, is the published program's.
+    pub return_frames: f64,
     /// How collisions are found and averaged.
     pub collision: CollisionConfig,
 }
@@ -84,6 +89,7 @@ impl Default for LossConfig {
             body_collision: 1.0,
             layer_collision: 0.1,
             orthogonality: 1.0,
+            return_frames: 5.0,
             collision: CollisionConfig::default(),
         }
     }
@@ -94,6 +100,7 @@ impl LossConfig {
     pub fn released() -> Self {
         Self {
             body_collision: 1.3,
+            return_frames: 1.0,
             collision: CollisionConfig {
                 threshold: 1e-3,
                 reach: None,
@@ -217,6 +224,36 @@ pub fn all_terms(
     );
     values.patch = patches.value;
     (values, total.gradient, patches.gradient)
+}
+
+/// The reference after a step for a state that strayed: a critically damped return.
+///
+/// With Δx and Δv what the state lacks to the reference before the step, the
+/// network's acceleration shall be the reference's plus `(1−λ)² Δx + (1−λ²) Δv`,
+/// λ = 1 − 1/`frames`: what is left of the error falls by λ a frame, without
+/// overshoot. The result is `x − (1 − (1−λ)²) Δx − λ² Δv`, x the recorded position.
+/// `frames` = 1 gives x itself, the published loss: then all of the error is to be
+/// made up for in one frame, and since little of it can be told from the state, its
+/// size drowns what can be learnt.
+pub fn returning(
+    frames: f64,
+    recorded: &[State],
+    recorded_before: &[State],
+    state: &[StatePair],
+) -> Vec<State> {
+    let left = 1.0 - 1.0 / frames;
+    let keep_x = (1.0 - (1.0 - left).powi(2)) as f32;
+    let keep_v = left.powi(2) as f32;
+    let mut target = recorded.to_vec();
+    if left > 0.0 {
+        for ((target, before), state) in target.iter_mut().zip(recorded_before).zip(state) {
+            for axis in 0..3 {
+                target[axis] -= keep_x * (before[axis] - state[axis])
+                    + keep_v * (before[3 + axis] - state[3 + axis]);
+            }
+        }
+    }
+    target
 }
 
 /// Positions after a step: x + v + a, in f64.

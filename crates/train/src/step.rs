@@ -11,7 +11,7 @@ use drape_model::{LayersNet, Parameters, Prediction};
 
 use crate::adam::Gradients;
 use crate::error::Result;
-use crate::losses::{LossConfig, LossValues, all_terms, integrate, squared_error};
+use crate::losses::{LossConfig, LossValues, all_terms, integrate, returning, squared_error};
 
 /// Predicted states `[pos, vel]` of a step, and the accelerations `[vertex · 3]`.
 pub fn advance(states: &[StatePair], accelerations: &[f32]) -> Vec<State> {
@@ -44,9 +44,7 @@ pub fn roll_in(
             advance(&state, &prediction.acceleration.flatten_all()?.to_vec1()?)
         };
         for (state, next) in state.iter_mut().zip(&next) {
-            let mut current: State = [0.0; 6];
-            current.copy_from_slice(&state[..6]);
-            *state = pair(next, &current);
+            *state = pair(next, &std::array::from_fn(|column| state[column]));
         }
     }
     Ok(state)
@@ -90,6 +88,15 @@ pub fn sample_gradient(
         &prediction.graph.patch_states,
         &values(&prediction.patch_acceleration)?,
     );
+    let before: Vec<State> = match sample.reference.as_slice() {
+        [.., before, _] => before.clone(),
+        _ => sample
+            .state
+            .iter()
+            .map(|row| std::array::from_fn(|column| row[column]))
+            .collect(),
+    };
+    let reference = &returning(losses.return_frames, reference, &before, state);
     let weight = losses.position;
     let (mut losses, by_vertex, by_patch) = all_terms(
         losses,

@@ -5,9 +5,9 @@
 //!
 //! A sample's gradient counts a²/(a² + h), with a² the mean squared acceleration of
 //! the training set and h the sample's loss if it predicted no acceleration. After
-//! steps without gradient, h is mostly the error of those steps, which nothing in
-//! the state tells, and grows tenfold with each few steps: unweighted, this noise
-//! drowns what can be learnt, and Adam's second moment keeps the rate down after.
+//! steps without gradient, h is mostly the error of those steps, little of which
+//! the state tells: unweighted, this noise drowns what can be learnt, and Adam's
+//! second moment keeps the rate down after.
 
 use std::io::Write;
 use std::path::Path;
@@ -15,6 +15,7 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use drape_dataset::random::stream;
 use drape_model::{LayersNet, ModelError, Parameters};
 use serde::Serialize;
 
@@ -26,6 +27,7 @@ use crate::losses::LossValues;
 use crate::losses::orthogonality::orthogonality;
 use crate::run::{Position, RunFolder, RunRecord};
 use crate::step::{roll_in, sample_gradient};
+use crate::sway::sway;
 
 /// Time between two checkpoints.
 const CHECKPOINT_EVERY: Duration = Duration::from_secs(60);
@@ -118,7 +120,16 @@ impl Trainer<'_> {
                 }
                 other => other,
             };
-            let state = roll_in(&frozen, columns, &sample, 0).map_err(overflowed)?;
+            let mut state = roll_in(&frozen, columns, &sample, 0).map_err(overflowed)?;
+            let size = config.schedule.sway;
+            if size > 0.0 {
+                let (name, frame) = (set.name(draw), draw.frame);
+                let mut rng = stream(
+                    config.seed,
+                    &format!("sway/update {update}, {name}, frame {frame}"),
+                );
+                sway(&mut state, &sample.outfit, size, &mut rng);
+            }
             let result = sample_gradient(
                 &trainable,
                 &self.parameters,

@@ -119,6 +119,17 @@ fn run(arguments: &Arguments) -> Result<()> {
     let mut sheets = Vec::new();
     let mut outfits: Vec<&[GarmentKind]> = Vec::new();
 
+    eprintln!(
+        "{} sequences of {}, {} methods, {steps} frames each{}",
+        sequences.len(),
+        data.display(),
+        entries.len(),
+        if arguments.no_engine {
+            ""
+        } else {
+            ", then the engine"
+        }
+    );
     let bar = progress_bar((sequences.len() * entries.len() * steps) as u64);
     let running = || {
         if stop.load(Ordering::Relaxed) {

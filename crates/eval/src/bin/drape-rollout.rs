@@ -94,6 +94,11 @@ fn run(arguments: &Arguments) -> Result<()> {
     let clip = Clip::read(&reader, arguments.start, steps)?;
     let given: Vec<Frame> = clip.frames[..=arguments.start].to_vec();
     let (task, _) = clip.split(arguments.start, steps)?;
+    eprintln!(
+        "predicting {steps} frames of {} with {}",
+        task.header.name,
+        folder.path().display()
+    );
     let bar = ProgressBar::new(steps as u64).with_style(
         ProgressStyle::with_template("{bar:30} {pos}/{len} frames, {eta} left")
             .unwrap_or_else(|_| ProgressStyle::default_bar()),

@@ -58,7 +58,7 @@ struct Linear {
 
 /// `dst[m, n] = dst·keep + a·b` for matrices given by (column stride, row stride).
 #[allow(clippy::too_many_arguments)]
-fn multiply<T: Real>(
+pub(super) fn multiply<T: Real>(
     m: usize,
     n: usize,
     k: usize,

@@ -7,10 +7,10 @@
 //! into fixed chunks, so results do not depend on the number of threads.
 
 pub mod attention;
+pub mod decoder;
 pub mod layer_norm;
 pub mod linear;
 pub mod row_map;
-pub mod segment_mean;
 
 use candle_core::{CpuStorage, Layout, Result, Tensor, WithDType};
 

@@ -4,11 +4,11 @@
 //! The attention's dense reference lives in the package `drape-tests`.
 
 mod attention;
+mod decoder;
 mod finite_differences;
 mod layer_norm;
 mod linear;
 mod row_map;
-mod segment_mean;
 mod threads;
 
 use candle_core::{Device, Shape, Tensor};

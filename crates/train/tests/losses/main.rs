@@ -1,10 +1,13 @@
 //! Losses: gradients against central differences in f64, thresholds and their
-//! neighbours, the orthogonality regulariser, and Adam's bits.
+//! neighbours, the orthogonality regulariser, the way back of strayed states; and
+//! Adam's bits.
 
 mod adam;
 mod collisions;
 mod gradients;
 mod orthogonality;
+mod returning;
+mod sway;
 
 use drape_dataset::patches::{Csr, Patches};
 use drape_dataset::registry::GarmentKind;

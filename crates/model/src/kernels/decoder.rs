@@ -1,0 +1,396 @@
+//! The decoder's hidden layers, per row, and their mean per segment:
+//! `y_s = Σ_{i in s} relu(W₂ relu(W₁ x_i + b₁) + b₂) / (n_s + 1e-7)`.
+//!
+//! `x [rows, in]`; W₁ and b₁ one behind the other, `[h · in + h]`, and W₂, b₂,
+//! `[h · h + h]`; `y [segments, h]`. Segment s is the rows `offsets[s]..offsets[s+1]`;
+//! those from `means` on are not divided, only summed. An empty segment gives 0.
+//! Rows go through in blocks of whole segments, so that what lies between the layers
+//! stays in the cache. Backward, with g_i the segment's gradient over its divisor
+//! where the outer ReLU passes: `dW₂ = Σ g_i h_iᵀ`, `dh_i = W₂ᵀ g_i` where the inner
+//! ReLU passes, `dW₁ = Σ dh_i x_iᵀ`, `dx_i = W₁ᵀ dh_i`; h is computed again, and
+//! which outer ReLUs pass is kept from the forward pass.
+
+use std::ops::Range;
+use std::sync::OnceLock;
+
+use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
+use rayon::prelude::*;
+
+use super::linear::multiply;
+use super::{Real, by_dtype, operand, simd_dispatch, values};
+
+const EPSILON: f64 = 1e-7;
+/// Rows of a block, about: a few arrays of this many rows fit a core's cache.
+const BLOCK_ROWS: usize = 128;
+
+/// What the decoder's layers are applied to.
+#[derive(Clone, Debug)]
+pub struct Segments {
+    /// First row of each segment, and the number of rows.
+    pub offsets: Vec<u32>,
+    /// Number of leading segments that are divided by their length.
+    pub means: usize,
+}
+
+/// Both layers and the mean; see the module's formula. `keep` keeps what the
+/// backward pass needs.
+///
+/// # Errors
+/// Shapes that do not fit each other or the segments, or a type other than f32 and f64.
+pub fn decode(
+    x: &Tensor,
+    first: &Tensor,
+    second: &Tensor,
+    segments: Segments,
+    keep: bool,
+) -> Result<Tensor> {
+    let op = Decoder {
+        segments,
+        passes: keep.then(OnceLock::new),
+    };
+    x.contiguous()?
+        .apply_op3(&first.contiguous()?, &second.contiguous()?, op)
+}
+
+struct Decoder {
+    segments: Segments,
+    /// Of each row and channel, whether the outer ReLU passes (1) or not (0).
+    passes: Option<OnceLock<Vec<u8>>>,
+}
+
+/// Rows become copies of the bias, which a product is added to.
+#[inline(always)]
+fn fill_rows<T: Real>(bias: &[T], rows: &mut [T]) {
+    for row in rows.chunks_exact_mut(bias.len()) {
+        row.copy_from_slice(bias);
+    }
+}
+
+/// max(0, ·); a NaN passes.
+#[inline(always)]
+fn relu<T: Real>(values: &mut [T]) {
+    for value in values {
+        *value = if *value < T::zero() {
+            T::zero()
+        } else {
+            *value
+        };
+    }
+}
+
+/// `y += relu(x)` per row of x, and where it passes.
+#[inline(always)]
+fn add_relu<T: Real>(x: &[T], y: &mut [T], passes: &mut [u8]) {
+    for (x, passes) in x
+        .chunks_exact(y.len())
+        .zip(passes.chunks_exact_mut(y.len()))
+    {
+        for ((y, &x), pass) in y.iter_mut().zip(x).zip(passes) {
+            *y += if x < T::zero() { T::zero() } else { x };
+            *pass = u8::from(x > T::zero());
+        }
+    }
+}
+
+/// Scales a row.
+#[inline(always)]
+fn scale<T: Real>(row: &mut [T], factor: T) {
+    row.iter_mut().for_each(|value| *value *= factor);
+}
+
+/// `out = factor · g` where it passes, else 0; `sum += out`.
+#[inline(always)]
+fn masked_row<T: Real>(g: &[T], factor: T, passes: &[u8], out: &mut [T], sum: &mut [T]) {
+    for (((out, &g), &pass), sum) in out.iter_mut().zip(g).zip(passes).zip(sum) {
+        *out = if pass != 0 { g * factor } else { T::zero() };
+        *sum += *out;
+    }
+}
+
+/// Zeroes gradients where the layer's output is not positive, and adds rows to `sum`.
+#[inline(always)]
+fn mask<T: Real>(y: &[T], g: &mut [T], sum: &mut [T]) {
+    let width = sum.len();
+    for (y, g) in y.chunks_exact(width).zip(g.chunks_exact_mut(width)) {
+        for ((&y, g), sum) in y.iter().zip(g).zip(sum.iter_mut()) {
+            *g = if y > T::zero() { *g } else { T::zero() };
+            *sum += *g;
+        }
+    }
+}
+
+simd_dispatch!(fn run_fill_rows => fill_rows<T>(bias: &[T], rows: &mut [T]));
+simd_dispatch!(fn run_relu => relu<T>(values: &mut [T]));
+simd_dispatch!(fn run_add_relu => add_relu<T>(x: &[T], y: &mut [T], passes: &mut [u8]));
+simd_dispatch!(fn run_scale => scale<T>(row: &mut [T], factor: T));
+simd_dispatch!(fn run_masked_row => masked_row<T>(g: &[T], factor: T, passes: &[u8], out: &mut [T], sum: &mut [T]));
+simd_dispatch!(fn run_mask => mask<T>(y: &[T], g: &mut [T], sum: &mut [T]));
+
+/// Widths of a call.
+#[derive(Clone, Copy)]
+struct Sizes {
+    rows: usize,
+    inner: usize,
+    hidden: usize,
+}
+
+/// Weight and bias of a layer of `out` rows.
+fn split<T>(layer: &[T], out: usize) -> (&[T], &[T]) {
+    layer.split_at(layer.len() - out)
+}
+
+/// `out = bias + x Wᵀ`.
+fn affine<T: Real>(x: &[T], layer: &[T], (inner, out): (usize, usize), y: &mut [T]) {
+    let (weight, bias) = split(layer, out);
+    run_fill_rows(bias, y);
+    multiply(
+        y.len() / out,
+        out,
+        inner,
+        y,
+        true,
+        (x, 1, inner),
+        (weight, inner, 1),
+    );
+}
+
+impl Decoder {
+    fn sizes(&self, x: &Shape, first: usize, second: usize) -> Result<Sizes> {
+        let (rows, inner) = x.dims2()?;
+        let hidden = first / (inner + 1);
+        let offsets = &self.segments.offsets;
+        if first != hidden * (inner + 1) || second != hidden * (hidden + 1) || hidden == 0 {
+            candle_core::bail!(
+                "decoder: rows of {inner}, layers of {first} and {second} numbers: expected \
+                 h·{inner} + h and h·h + h"
+            );
+        }
+        if offsets.first() != Some(&0)
+            || !offsets.is_sorted()
+            || offsets.last().map(|&last| last as usize) != Some(rows)
+            || self.segments.means >= offsets.len()
+        {
+            candle_core::bail!(
+                "decoder: {rows} rows, {} offsets that end at {:?}, {} means: expected offsets \
+                 that ascend from 0 to the number of rows",
+                offsets.len(),
+                offsets.last(),
+                self.segments.means
+            );
+        }
+        Ok(Sizes {
+            rows,
+            inner,
+            hidden,
+        })
+    }
+
+    /// Ranges of segments with about [`BLOCK_ROWS`] rows each.
+    fn blocks(&self) -> Vec<Range<usize>> {
+        let offsets = &self.segments.offsets;
+        let (mut blocks, mut start) = (Vec::new(), 0);
+        for segment in 1..offsets.len() {
+            let last = segment + 1 == offsets.len();
+            if last || (offsets[segment + 1] - offsets[start]) as usize > BLOCK_ROWS {
+                blocks.push(start..segment);
+                start = segment;
+            }
+        }
+        blocks
+    }
+
+    fn rows(&self, segments: &Range<usize>) -> Range<usize> {
+        self.segments.offsets[segments.start] as usize..self.segments.offsets[segments.end] as usize
+    }
+
+    fn divisor<T: Real>(&self, segment: usize) -> T {
+        let offsets = &self.segments.offsets;
+        let length = f64::from(offsets[segment + 1] - offsets[segment]);
+        if segment < self.segments.means {
+            T::of(1.0 / (length + EPSILON))
+        } else {
+            T::one()
+        }
+    }
+
+    fn forward<T: Real>(&self, x: &[T], first: &[T], second: &[T], sizes: Sizes) -> Vec<T> {
+        let Sizes {
+            rows,
+            inner,
+            hidden,
+        } = sizes;
+        let mut y = vec![T::zero(); (self.segments.offsets.len() - 1) * hidden];
+        let mut passes = vec![0u8; rows * hidden];
+        let blocks = self.blocks();
+        let mut work = Vec::new();
+        let (mut y_left, mut passes_left) = (y.as_mut_slice(), passes.as_mut_slice());
+        for segments in blocks {
+            let rows = self.rows(&segments);
+            let (y_block, rest) = y_left.split_at_mut(segments.len() * hidden);
+            y_left = rest;
+            let (passes_block, rest) = passes_left.split_at_mut(rows.len() * hidden);
+            passes_left = rest;
+            work.push((segments, rows, y_block, passes_block));
+        }
+        let block = |buffers: &mut [Vec<T>; 2],
+                     (segments, rows, y, passes): (
+            Range<usize>,
+            Range<usize>,
+            &mut [T],
+            &mut [u8],
+        )| {
+            let [one, two] = buffers;
+            one.resize(rows.len() * hidden, T::zero());
+            two.resize(rows.len() * hidden, T::zero());
+            let x = &x[rows.start * inner..rows.end * inner];
+            affine(x, first, (inner, hidden), one);
+            run_relu(one);
+            affine(one, second, (hidden, hidden), two);
+            for (y, segment) in y.chunks_exact_mut(hidden).zip(segments) {
+                let own = self.rows(&(segment..segment + 1));
+                let own = (own.start - rows.start) * hidden..(own.end - rows.start) * hidden;
+                run_add_relu(&two[own.clone()], y, &mut passes[own]);
+                run_scale(y, self.divisor(segment));
+            }
+        };
+        let buffers = || [Vec::new(), Vec::new()];
+        if rayon::current_thread_index().is_some() {
+            let mut buffers = buffers();
+            work.into_iter().for_each(|item| block(&mut buffers, item));
+        } else {
+            work.into_par_iter().for_each_init(buffers, block);
+        }
+        if let Some(kept) = &self.passes {
+            kept.get_or_init(|| passes);
+        }
+        y
+    }
+
+    /// Gradients of x and of both layers.
+    fn backward<T: Real>(
+        &self,
+        (x, first, second): (&[T], &[T], &[T]),
+        sizes: Sizes,
+        g: &[T],
+        passes: &[u8],
+    ) -> [Vec<T>; 3] {
+        let Sizes { inner, hidden, .. } = sizes;
+        let mut dx = vec![T::zero(); x.len()];
+        let mut d_first = vec![T::zero(); first.len()];
+        let mut d_second = vec![T::zero(); second.len()];
+        let (dw1, db1) = d_first.split_at_mut(hidden * inner);
+        let (dw2, db2) = d_second.split_at_mut(hidden * hidden);
+        let (w1, w2) = (split(first, hidden).0, split(second, hidden).0);
+        let (mut one, mut outer, mut inward) = (Vec::new(), Vec::new(), Vec::new());
+        for segments in self.blocks() {
+            let rows = self.rows(&segments);
+            let count = rows.len();
+            for buffer in [&mut one, &mut outer, &mut inward] {
+                buffer.resize(count * hidden, T::zero());
+            }
+            let x = &x[rows.start * inner..rows.end * inner];
+            affine(x, first, (inner, hidden), &mut one);
+            run_relu(&mut one);
+            for segment in segments {
+                let factor = self.divisor(segment);
+                let g = &g[segment * hidden..(segment + 1) * hidden];
+                for row in self.rows(&(segment..segment + 1)) {
+                    let at = (row - rows.start) * hidden;
+                    run_masked_row(
+                        g,
+                        factor,
+                        &passes[row * hidden..(row + 1) * hidden],
+                        &mut outer[at..at + hidden],
+                        db2,
+                    );
+                }
+            }
+            multiply(
+                hidden,
+                hidden,
+                count,
+                dw2,
+                true,
+                (&outer, hidden, 1),
+                (&one, 1, hidden),
+            );
+            multiply(
+                count,
+                hidden,
+                hidden,
+                &mut inward,
+                false,
+                (&outer, 1, hidden),
+                (w2, 1, hidden),
+            );
+            run_mask(&one, &mut inward, db1);
+            multiply(
+                hidden,
+                inner,
+                count,
+                dw1,
+                true,
+                (&inward, hidden, 1),
+                (x, 1, inner),
+            );
+            let dx = &mut dx[rows.start * inner..rows.end * inner];
+            multiply(
+                count,
+                inner,
+                hidden,
+                dx,
+                false,
+                (&inward, 1, hidden),
+                (w1, 1, inner),
+            );
+        }
+        [dx, d_first, d_second]
+    }
+}
+
+impl CustomOp3 for Decoder {
+    fn name(&self) -> &'static str {
+        "decoder"
+    }
+
+    fn cpu_fwd(
+        &self,
+        s1: &CpuStorage,
+        l1: &Layout,
+        s2: &CpuStorage,
+        l2: &Layout,
+        s3: &CpuStorage,
+        l3: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        let sizes = self.sizes(l1.shape(), l2.shape().elem_count(), l3.shape().elem_count())?;
+        by_dtype!(super::dtype_of(s1), T => {
+            let y = self.forward::<T>(operand(s1, l1)?, operand(s2, l2)?, operand(s3, l3)?, sizes);
+            let shape = (y.len() / sizes.hidden, sizes.hidden);
+            Ok((<T as candle_core::WithDType>::to_cpu_storage_owned(y), shape.into()))
+        })
+    }
+
+    fn bwd(
+        &self,
+        x: &Tensor,
+        first: &Tensor,
+        second: &Tensor,
+        _res: &Tensor,
+        grad: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        let sizes = self.sizes(x.shape(), first.elem_count(), second.elem_count())?;
+        let Some(passes) = self.passes.as_ref().and_then(OnceLock::get) else {
+            candle_core::bail!("decoder: made without keeping what the backward pass needs");
+        };
+        by_dtype!(x.dtype(), T => {
+            let (input, w1, w2, g) = (values::<T>(x)?, values::<T>(first)?, values::<T>(second)?, values::<T>(grad)?);
+            let [dx, d_first, d_second] = self.backward::<T>((&input, &w1, &w2), sizes, &g, passes);
+            let device = x.device();
+            Ok((
+                Some(Tensor::from_vec(dx, x.shape(), device)?),
+                Some(Tensor::from_vec(d_first, first.shape(), device)?),
+                Some(Tensor::from_vec(d_second, second.shape(), device)?),
+            ))
+        })
+    }
+}
