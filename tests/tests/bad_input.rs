@@ -50,6 +50,32 @@ fn missing_truncated_and_flipped_sequences_are_named() {
 }
 
 #[test]
+fn bad_garments_are_named_with_their_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let sound = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0.1\nvt 0 0\nvt 1 0\nvt 0 1\nvt 1 1\n\
+                 f 1/1 2/2 3/3\nf 3/3 2/2 4/4\n";
+    fs::write(folder.join("good.obj"), sound).unwrap();
+    let output = run("drape-inspect", folder, &["good.obj"]);
+    assert!(output.status.success(), "{}", printed(&output));
+    let expected = "4 vertices, 2 faces, 4 UV coordinates, 1 panels";
+    assert!(printed(&output).contains(expected), "{}", printed(&output));
+    assert!(folder.join("good.panels.png").is_file());
+    for (name, from, to, part) in [
+        ("nan", "v 1 1 0.1", "v 1 NaN 0.1", "line 4"),
+        ("polygon", "f 3/3 2/2 4/4", "f 1/1 3/3 2/2 4/4", "line 10"),
+        ("no-uv", "f 3/3 2/2 4/4", "f 3 2 4", "line 10"),
+        ("flat", "f 3/3 2/2 4/4", "f 3/3 2/2 2/4", "line 10"),
+        ("outside", "f 3/3 2/2 4/4", "f 3/3 2/2 5/4", "line 10"),
+    ] {
+        let file = format!("{name}.obj");
+        fs::write(folder.join(&file), sound.replace(from, to)).unwrap();
+        refuse("drape-inspect", folder, &[&file], &[&file, part]);
+        assert!(!folder.join(format!("{name}.panels.png")).exists());
+    }
+}
+
+#[test]
 fn a_typo_in_a_configuration_is_named_with_its_file() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();

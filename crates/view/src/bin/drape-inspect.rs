@@ -1,4 +1,5 @@
-//! `drape-inspect FILE`: contents, checks and pictures of a sequence file.
+//! `drape-inspect FILE`: contents, checks and pictures of a sequence file, or of a
+//! garment in an OBJ file.
 //! Exits with 1 when a check failed, with 2 when the command line is wrong.
 
 use std::path::{Path, PathBuf};
@@ -7,8 +8,11 @@ use std::process::ExitCode;
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
 use drape_dataset::SequenceReader;
+use drape_dataset::obj::GarmentMesh;
 use drape_dataset::patches::patch_of_face;
-use drape_dataset::sequence::Frame;
+use drape_dataset::registry::GarmentKind;
+use drape_dataset::sequence::{Frame, Material};
+use drape_geometry::mesh::defects;
 use drape_view::inspection::Inspection;
 use drape_view::patches::patch_sheet;
 use drape_view::sheet::{Clip, SheetOptions, contact_sheet, spread};
@@ -16,12 +20,16 @@ use drape_view::sheet::{Clip, SheetOptions, contact_sheet, spread};
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
+/// Defects of a garment that are named.
+const NAMED_DEFECTS: usize = 3;
+
 /// Show what a sequence file holds: contents, checks, a contact sheet of
-/// shaded frames, and the patches that the model would see.
+/// shaded frames, and the patches that the model would see. Of a garment in an
+/// OBJ file: size, checks, and its panels in colour.
 #[derive(Parser)]
 #[command(name = "drape-inspect", version)]
 struct Arguments {
-    /// Sequence file (.mcap).
+    /// Sequence file (.mcap), or garment (.obj).
     file: PathBuf,
     /// Folder for pictures without a path of their own [default: the file's folder].
     #[arg(long, value_name = "DIR")]
@@ -62,6 +70,10 @@ fn run(arguments: &Arguments) -> Result<bool> {
         patch_size.is_finite() && patch_size > 0.0,
         "--patch-size {patch_size}: expected a positive length in metres, such as 0.05"
     );
+    let ending = arguments.file.extension().unwrap_or_default();
+    if ending.eq_ignore_ascii_case("obj") {
+        return inspect_garment(arguments);
+    }
     let reader = SequenceReader::open(&arguments.file)?;
     let chosen = spread(reader.frame_count(), arguments.frames);
     let inspection = Inspection::of(&reader, &chosen);
@@ -77,6 +89,55 @@ fn run(arguments: &Arguments) -> Result<bool> {
         draw_patches(&reader, patch_size, &path)?;
     }
     Ok(inspection.passed())
+}
+
+/// Contents, checks and panels of a garment; whether all checks passed.
+fn inspect_garment(arguments: &Arguments) -> Result<bool> {
+    let mesh = GarmentMesh::read(&arguments.file)?;
+    let mut extent = [[f32::INFINITY, f32::NEG_INFINITY]; 3];
+    for (position, axis) in mesh.rest.iter().flat_map(|x| x.iter().zip(0..3)) {
+        let [low, high] = &mut extent[axis];
+        (*low, *high) = (low.min(*position), high.max(*position));
+    }
+    let [x, y, z] = extent.map(|[low, high]| high - low);
+    println!("garment   {}", arguments.file.display());
+    println!(
+        "mesh      {} vertices, {} faces, {} UV coordinates, {} panels",
+        mesh.rest.len(),
+        mesh.faces.len(),
+        mesh.uv.len(),
+        mesh.panel_count
+    );
+    println!("extent    {x} × {y} × {z} units");
+    println!("\nchecks");
+    println!("  ok     numbers, triangles, UVs and areas of every line");
+    let found = defects(&mesh.rest, &mesh.faces, NAMED_DEFECTS);
+    for defect in &found {
+        println!("  note   {defect}");
+    }
+    if found.is_empty() {
+        println!("  ok     no edge of more than two faces");
+    }
+    if !arguments.no_pictures {
+        // The picture needs a garment; neither kind nor material is drawn.
+        let material = Material {
+            mass: 0.0,
+            tension: 0.0,
+            compression: 0.0,
+            shear: 0.0,
+            bending: 0.0,
+            friction: 0.0,
+        };
+        let garment = mesh.into_garment("garment", GarmentKind::TShirt, 0, material);
+        let path = picture_path(arguments, &arguments.patches, "panels")?;
+        patch_sheet(
+            std::slice::from_ref(&garment),
+            std::slice::from_ref(&garment.panel_of_face),
+        )?
+        .write_png(&path)?;
+        println!("\npictures\n  panels  {}", path.display());
+    }
+    Ok(true)
 }
 
 fn draw_sheet(reader: &SequenceReader, chosen: &[usize], path: &Path) -> Result<()> {
