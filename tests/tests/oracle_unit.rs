@@ -17,11 +17,12 @@ use drape_dataset::registry::GarmentKind;
 use drape_dataset::sample::{Outfit, rotation_matrix};
 use drape_geometry::grid::Grid;
 use drape_geometry::normals::face_normals;
-use drape_model::block::{Block, Tokens};
+use drape_model::block::{Blocks, Tokens};
 use drape_model::frames::{Matrix, frame};
-use drape_model::kernels::attention::Edges;
+use drape_model::kernels::attention::{Edges, GROUPS, attend};
 use drape_model::kernels::linear::product;
 use drape_model::kernels::row_map::{RowMap, map_rows};
+use drape_model::parameters::group_rotation_name;
 use drape_model::{FrameAxis, ModelConfig, Parameters};
 use drape_tests::dense_attention::dense_weights;
 use drape_tests::oracle::{Tensors, relative};
@@ -60,6 +61,55 @@ fn close(what: &str, found: &[f64], reference: &[f64], bar: f64) {
     assert!(difference <= bar, "{what}: {difference} > {bar}");
 }
 
+/// The attention of the first block without residuals and norms, from the fused kernel and candle's
+/// own products: Z', `r_proj(r)`, `s_proj(s)`.
+fn attention_alone(parameters: &Parameters, tokens: &Tokens, edges: Arc<Edges>) -> Tokens {
+    let weight = |name: &str| {
+        let name = format!("{BLOCK}self_attn.attn.{name}");
+        parameters.get(&name).unwrap().as_tensor().clone()
+    };
+    let product = |x: &Tensor, w: &Tensor| x.matmul(&w.t().unwrap()).unwrap();
+    let map = |x: &Tensor, name: &str| product(x, &weight(&format!("{name}.weight")));
+    let affine = |x: &Tensor, name: &str| {
+        let bias = weight(&format!("{name}.bias"));
+        map(x, name).broadcast_add(&bias).unwrap()
+    };
+    let patches = tokens.state.narrow(0, 0, P).unwrap();
+    let stream = |z: &Tensor, name: &str, memory: &Tensor| {
+        let remembered = (map(memory, "memory_weight") + memory).unwrap();
+        (map(z, name) + remembered).unwrap()
+    };
+    let r = stream(&patches, "receiver_weight", &tokens.receiver);
+    let s = stream(&tokens.state, "sender_weight", &tokens.sender);
+    let q = map(&patches, "q_proj.layers.0");
+    let mut groups = Vec::new();
+    for group in 0..GROUPS {
+        let mlp = format!("rs_mlp.group_layers.{group}.layers.0");
+        let rotation = parameters.get(&group_rotation_name(0, group)).unwrap();
+        groups.push(rotation.flatten_all().unwrap());
+        groups.push(weight(&format!("{mlp}.weight")).flatten_all().unwrap());
+        groups.push(weight(&format!("{mlp}.bias")));
+    }
+    let attended = attend(
+        &Tensor::cat(&[&r, &q, &s], 0).unwrap(),
+        &Tensor::cat(&groups, 0).unwrap(),
+        edges,
+        false,
+    )
+    .unwrap();
+    let flat = |name: &str| weight(name).reshape((1, 128)).unwrap();
+    let scaled = attended.broadcast_mul(&flat("n_weight")).unwrap();
+    let scaled = scaled.broadcast_add(&flat("n_bias")).unwrap();
+    let output = affine(&scaled, "proj.layers.0");
+    let rows = tokens.state.dim(0).unwrap();
+    let others = tokens.state.narrow(0, P, rows - P).unwrap();
+    Tokens {
+        state: Tensor::cat(&[&output, &others], 0).unwrap(),
+        receiver: affine(&r, "r_proj.layers.0"),
+        sender: affine(&s, "s_proj.layers.0"),
+    }
+}
+
 /// A unit case: inputs, weights, cotangents, and what the port makes of them.
 struct Unit {
     outputs: BTreeMap<&'static str, Tensor>,
@@ -89,7 +139,6 @@ impl Unit {
             assert!(old.is_some(), "{name} is no weight of a block");
         }
         let parameters = Parameters::from_tensors(tensors, &config, dtype).unwrap();
-        let block = Block::trainable(&config, &parameters, 0).unwrap();
 
         let tensor = |name: &str, rows: usize| {
             // The f64 case's inputs pass through f32 for the f32 case.
@@ -120,21 +169,21 @@ impl Unit {
             state: Tensor::cat(&[part("x_state"), part("h_state")], 0).unwrap(),
             receiver: part("x_receiver").clone(),
             sender: Tensor::cat(&[part("x_sender"), part("h_sender")], 0).unwrap(),
-            patches: P,
-            particles: T,
         };
         let edges = Arc::new(edges(inputs));
         let result = if whole_block {
-            block.apply(&tokens, &edges, false)
+            Blocks::trainable(&config, &parameters)
+                .unwrap()
+                .everything(&tokens, &edges)
+                .unwrap()
         } else {
-            block.attention(&tokens, &edges, false)
+            attention_alone(&parameters, &tokens, edges)
         };
         let Tokens {
             state,
             receiver,
             sender,
-            ..
-        } = result.unwrap();
+        } = result;
         let rows = |tensor: &Tensor, start, count| tensor.narrow(0, start, count).unwrap();
         let outputs: BTreeMap<&'static str, Tensor> = [
             ("x", rows(&state, 0, T)),

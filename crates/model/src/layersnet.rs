@@ -11,7 +11,7 @@ use candle_core::{DType, Device, Tensor};
 use drape_dataset::sample::{Outfit, StatePair, Step};
 use drape_dataset::statistics::ColumnStatistics;
 
-use crate::block::{Block, Tokens};
+use crate::block::{Blocks, Tokens};
 use crate::config::{ModelConfig, OutputScale};
 use crate::error::Result;
 use crate::frames::{rotate, transposed};
@@ -110,7 +110,7 @@ pub struct LayersNet {
     particle_norm: Norm,
     receiver_norm: Norm,
     sender_norm: Norm,
-    blocks: Vec<Block>,
+    blocks: Blocks,
     /// Decoder's rotation weight, transposed for a product: `[3, 128]`.
     rotation: Tensor,
     /// First decoder layer on the 18 numbers it depends on, and the second: weight,
@@ -130,7 +130,7 @@ pub struct Prediction {
     pub relative: Tensor,
     /// Acceleration of each patch, `[P, 3]`.
     pub patch_acceleration: Tensor,
-    /// Patch tokens after each block, `[P, 128]`.
+    /// Patch tokens `[P, 128]` after each block; a frozen network gives the last only.
     pub blocks: Vec<Tensor>,
     /// The structure it was computed on.
     pub graph: FrameGraph,
@@ -184,10 +184,6 @@ impl LayersNet {
         let joined = |weight: &Tensor, bias: &Tensor| -> Result<Tensor> {
             Ok(Tensor::cat(&[&weight.flatten_all()?, bias], 0)?)
         };
-        let mut blocks = Vec::new();
-        for index in 0..config.blocks {
-            blocks.push(Block::new(config, source, index)?);
-        }
         Ok(Self {
             dtype: rotation.dtype(),
             config: config.clone(),
@@ -200,7 +196,7 @@ impl LayersNet {
             particle_norm: source.norm("backbone.particle_norm")?,
             receiver_norm: source.norm("backbone.receiver_norm")?,
             sender_norm: source.norm("backbone.sender_norm")?,
-            blocks,
+            blocks: Blocks::new(config, source)?,
             decoder_hidden: [
                 joined(&Tensor::cat(&columns, 1)?, &wide.bias)?,
                 joined(&second.weight, &second.bias)?,
@@ -237,7 +233,6 @@ impl LayersNet {
     ) -> Result<Prediction> {
         let graph = FrameGraph::new(&self.config, outfit, state, step)?;
         let patches = outfit.patches.count();
-        let attributes = outfit.attributes.len();
 
         // Encoders. Patches and body vertices share one; both are rows of one product.
         let normalise = |row: &StatePair| -> StatePair {
@@ -261,29 +256,15 @@ impl LayersNet {
         let particles = Tensor::cat(&[&patch_tokens, &attribute_tokens], 0)?;
         let body = Tensor::cat(&[&body_tokens, &wind_token, &gravity_token], 0)?;
         let senders = self.sender.apply(&Tensor::cat(&[&particles, &body], 0)?)?;
-        let mut tokens = Tokens {
+        let tokens = Tokens {
             state: Tensor::cat(&[&self.particle_norm.apply(&particles)?, &body], 0)?,
             receiver: self
                 .receiver_norm
                 .apply(&self.receiver.apply(&patch_tokens)?)?,
             sender: self.sender_norm.apply(&senders)?,
-            patches,
-            particles: patches + attributes,
         };
-        let mut block_outputs = Vec::new();
-        for (index, block) in self.blocks.iter().enumerate() {
-            tokens = block.apply(&tokens, &graph.edges, index + 1 == self.blocks.len())?;
-            block_outputs.push(tokens.state.narrow(0, 0, patches)?);
-        }
-        let embedding = block_outputs.last().expect("at least one block");
-        self.decode(
-            statistics,
-            state,
-            embedding,
-            &encoded,
-            graph,
-            block_outputs.clone(),
-        )
+        let blocks = self.blocks.patches(&tokens, &graph.edges)?;
+        self.decode(statistics, state, &encoded, graph, blocks)
     }
 
     /// Decoder and integration, for patches and for vertices.
@@ -291,7 +272,6 @@ impl LayersNet {
         &self,
         statistics: &ColumnStatistics,
         state: &[StatePair],
-        embedding: &Tensor,
         encoded: &Tensor,
         graph: FrameGraph,
         blocks: Vec<Tensor>,
@@ -299,6 +279,7 @@ impl LayersNet {
         let (patches, vertices) = (graph.patch_states.len(), state.len());
         let pairs = graph.slots.len();
         // Three numbers per patch and per body vertex, turned into each receiver's frame.
+        let embedding = blocks.last().expect("at least one block");
         let patch_numbers = crate::kernels::linear::product(embedding, &self.rotation)?;
         let (mut relative, mut from_patch, mut from_body) = (Vec::new(), Vec::new(), Vec::new());
         let mut push = |relative_state: StatePair, patch: u32, anchor: &Anchor| {

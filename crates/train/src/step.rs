@@ -7,6 +7,7 @@
 
 use drape_dataset::sample::{Sample, State, StatePair, pair};
 use drape_dataset::statistics::ColumnStatistics;
+use drape_model::parameters::is_idle;
 use drape_model::{LayersNet, Parameters, Prediction};
 
 use crate::adam::Gradients;
@@ -128,6 +129,9 @@ pub fn sample_gradient(
     let store = total.backward()?;
     let mut gradients = Gradients::new();
     for (name, variable) in parameters.iter() {
+        if is_idle(name, net.config()) {
+            continue;
+        }
         if let Some(gradient) = store.get(variable) {
             gradients.insert(name.to_string(), values(gradient)?);
         }

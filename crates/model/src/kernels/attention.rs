@@ -19,9 +19,8 @@
 use std::sync::Arc;
 
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
-use rayon::prelude::*;
 
-use super::{Real, by_dtype, operand, simd_dispatch, values};
+use super::{Real, by_dtype, for_all, operand, simd_dispatch, values};
 use drape_dataset::patches::Csr;
 
 /// Channels of one head.
@@ -76,9 +75,25 @@ pub fn attend(
         .apply_op2(&parameters.contiguous()?, Attention { edges, own_slots })
 }
 
-struct Attention {
-    edges: Arc<Edges>,
-    own_slots: bool,
+/// The attention of one frame's edges.
+pub(super) struct Attention {
+    pub(super) edges: Arc<Edges>,
+    /// See [`attend`].
+    pub(super) own_slots: bool,
+}
+
+/// Channels of one group: its world head, then its mesh head.
+const GROUP_WIDTH: usize = 2 * HEAD;
+
+/// Gradients of one group: it has its own channels of every token and its own parameters.
+#[derive(Clone, Default)]
+pub(super) struct GroupGradient<T> {
+    /// Of r, q and senders, one below the other: `[rows, 32]`.
+    tokens: Vec<T>,
+    /// Of W, M, c.
+    parameters: Vec<T>,
+    /// Of the body tokens' projections `Wᵀ s`.
+    projected: Vec<[T; 3]>,
 }
 
 /// One group's parameters, with M W multiplied out.
@@ -346,12 +361,12 @@ fn forward_rows<T: Real>(input: &Input<T>, first: usize, out: &mut [T]) {
     }
 }
 
-/// Gradients of tokens and parameters; `d_mw` collects dM W products per group.
+/// What the backward pass of one group adds to; `mw` collects dM W products.
 struct Output<'a, T> {
     tokens: &'a mut [T],
     parameters: &'a mut [T],
-    mw: &'a mut [[[T; 3]; HEAD]],
-    body_projected: &'a mut [[[T; 3]; GROUPS]],
+    mw: &'a mut [[T; 3]; HEAD],
+    projected: &'a mut [[T; 3]],
 }
 
 /// Gradient of an entry's weight, and of a body entry the message's parts:
@@ -359,15 +374,16 @@ struct Output<'a, T> {
 type Message<T> = (T, [T; 3], [T; HEAD], [T; 3], [T; 3]);
 
 #[inline(always)]
-fn backward_rows<T: Real>(input: &Input<T>, grad: &[T], out: &mut Output<T>) {
+fn backward_group<T: Real>(input: &Input<T>, group: usize, grad: &[T], out: &mut Output<T>) {
     let mut entries = Vec::new();
     // Per entry: gradient of the weight, and for body entries the message's parts.
     let mut inner: Vec<Message<T>> = Vec::new();
     let zero3 = [T::zero(); 3];
     for (receiver, grad) in grad.chunks_exact(WIDTH).enumerate() {
-        for group in 0..GROUPS {
+        {
             let w = input.groups[group].w;
             for mesh in [false, true] {
+                let own = if mesh { HEAD } else { 0 };
                 let start = (2 * group + usize::from(mesh)) * HEAD;
                 input.entries(receiver, mesh, start, &mut entries);
                 if entries.is_empty() {
@@ -432,7 +448,7 @@ fn backward_rows<T: Real>(input: &Input<T>, grad: &[T], out: &mut Output<T>) {
                     } else {
                         value
                     };
-                    let ds = &mut out.tokens[entry.row * WIDTH + start..][..HEAD];
+                    let ds = &mut out.tokens[entry.row * GROUP_WIDTH + own..][..HEAD];
                     for i in 0..HEAD {
                         let both = scale * q[i] + plain * g[i];
                         let apart = along * (r[i] - s[i]);
@@ -444,7 +460,7 @@ fn backward_rows<T: Real>(input: &Input<T>, grad: &[T], out: &mut Output<T>) {
                         let rotation = &input.edges.rotations[token];
                         // d(Wᵀ y), turned into the token's frame.
                         let dz = turn(rotation, lifted_g.map(|x| x * value));
-                        let dw = &mut out.parameters[group * GROUP_PARAMETERS..][..HEAD * 3];
+                        let dw = &mut out.parameters[..HEAD * 3];
                         let mut dt = zero3;
                         let mut dy = [T::zero(); HEAD];
                         for i in 0..HEAD {
@@ -455,9 +471,8 @@ fn backward_rows<T: Real>(input: &Input<T>, grad: &[T], out: &mut Output<T>) {
                                 w[3 * i] * dz[0] + w[3 * i + 1] * dz[1] + w[3 * i + 2] * dz[2];
                             dy[i] = if y[i] > T::zero() { raw } else { T::zero() };
                         }
-                        let dc = &mut out.parameters
-                            [group * GROUP_PARAMETERS + HEAD * 3 + HEAD * HEAD..][..HEAD];
-                        let (mw, dmw) = (&input.groups[group].mw, &mut out.mw[group]);
+                        let dc = &mut out.parameters[HEAD * 3 + HEAD * HEAD..];
+                        let (mw, dmw) = (&input.groups[group].mw, &mut *out.mw);
                         for i in 0..HEAD {
                             dc[i] += dy[i];
                             for axis in 0..3 {
@@ -468,12 +483,12 @@ fn backward_rows<T: Real>(input: &Input<T>, grad: &[T], out: &mut Output<T>) {
                         let db = turn_back(rotation, dt);
                         for axis in 0..3 {
                             da[axis] += db[axis];
-                            out.body_projected[token][group][axis] += db[axis];
+                            out.projected[token][axis] += db[axis];
                         }
                     }
                 }
                 if !mesh {
-                    let dw = &mut out.parameters[group * GROUP_PARAMETERS..][..HEAD * 3];
+                    let dw = &mut out.parameters[..HEAD * 3];
                     for i in 0..HEAD {
                         for axis in 0..3 {
                             // The lift of the summed messages, and the projection of r.
@@ -482,11 +497,12 @@ fn backward_rows<T: Real>(input: &Input<T>, grad: &[T], out: &mut Output<T>) {
                         }
                     }
                 }
-                let row = &mut out.tokens[receiver * WIDTH + start..][..HEAD];
+                let row = &mut out.tokens[receiver * GROUP_WIDTH + own..][..HEAD];
                 for i in 0..HEAD {
                     row[i] += dr[i];
                 }
-                let row = &mut out.tokens[(input.receivers + receiver) * WIDTH + start..][..HEAD];
+                let row =
+                    &mut out.tokens[(input.receivers + receiver) * GROUP_WIDTH + own..][..HEAD];
                 for i in 0..HEAD {
                     row[i] += dq[i];
                 }
@@ -496,7 +512,7 @@ fn backward_rows<T: Real>(input: &Input<T>, grad: &[T], out: &mut Output<T>) {
 }
 
 simd_dispatch!(fn run_forward => forward_rows<T>(input: &Input<T>, first: usize, out: &mut [T]));
-simd_dispatch!(fn run_backward => backward_rows<T>(input: &Input<T>, grad: &[T], out: &mut Output<T>));
+simd_dispatch!(fn run_backward => backward_group<T>(input: &Input<T>, group: usize, grad: &[T], out: &mut Output<T>));
 
 impl Attention {
     fn body_projected<T: Real>(&self, tokens: &[T], groups: &[Group<T>]) -> Vec<[[T; 3]; GROUPS]> {
@@ -526,6 +542,13 @@ impl Attention {
                 GROUPS * GROUP_PARAMETERS
             );
         }
+        self.check_edges()
+    }
+
+    /// Whether the lists fit each other and lead to tokens that exist.
+    pub(super) fn check_edges(&self) -> Result<()> {
+        let edges = &self.edges;
+        let receivers = edges.mesh.rows();
         if edges.world.rows() != receivers
             || edges.body.rows() != receivers
             || edges.body_log_count.len() != edges.body.items.len()
@@ -549,73 +572,112 @@ impl Attention {
         Ok(())
     }
 
-    fn gradients<T: Real>(
+    /// Rows of the token matrix.
+    fn rows(&self) -> usize {
+        2 * self.edges.mesh.rows() + self.edges.senders + self.edges.rotations.len()
+    }
+
+    /// Attention's output `[receivers, 128]` from tokens and parameters of [`attend`].
+    pub(super) fn forward<T: Real>(&self, tokens: &[T], parameters: &[T], out: &mut [T]) {
+        let groups = Group::all(parameters);
+        let projected = self.body_projected(tokens, &groups);
+        let input = Input {
+            edges: &self.edges,
+            tokens,
+            receivers: self.edges.mesh.rows(),
+            groups: &groups,
+            body_projected: &projected,
+            own_slots: self.own_slots,
+        };
+        let blocks = out.chunks_mut(BLOCK_ROWS * WIDTH).enumerate().collect();
+        for_all(blocks, |(index, out): (usize, &mut [T])| {
+            out.fill(T::zero());
+            run_forward(&input, index * BLOCK_ROWS, out);
+        });
+    }
+
+    /// Gradients of tokens and parameters; the groups are independent, so they run side by side.
+    pub(super) fn backward<T: Real>(
         &self,
-        tokens: &Tensor,
-        parameters: &Tensor,
-        grad: &Tensor,
-    ) -> Result<(Tensor, Tensor)> {
-        let (token_values, parameter_values, grad) = (
-            values::<T>(tokens)?,
-            values::<T>(parameters)?,
-            values::<T>(grad)?,
-        );
-        let groups = Group::all(&parameter_values);
-        let projected = self.body_projected(&token_values, &groups);
+        tokens: &[T],
+        parameters: &[T],
+        grad: &[T],
+        gradients: &mut [GroupGradient<T>; GROUPS],
+    ) {
+        let groups = Group::all(parameters);
+        let projected = self.body_projected(tokens, &groups);
         let receivers = self.edges.mesh.rows();
         let input = Input {
             edges: &self.edges,
-            tokens: &token_values,
+            tokens,
             receivers,
             groups: &groups,
             body_projected: &projected,
             own_slots: self.own_slots,
         };
-        let mut d_tokens = vec![T::zero(); token_values.len()];
-        let mut d_parameters = vec![T::zero(); parameter_values.len()];
-        let mut d_mw = vec![[[T::zero(); 3]; HEAD]; GROUPS];
-        let mut d_projected = vec![[[T::zero(); 3]; GROUPS]; projected.len()];
-        let mut output = Output {
-            tokens: &mut d_tokens,
-            parameters: &mut d_parameters,
-            mw: &mut d_mw,
-            body_projected: &mut d_projected,
-        };
-        run_backward(&input, &grad, &mut output);
-        // Projections Wᵀ s of the body tokens.
         let first = 2 * receivers + self.edges.senders;
-        for (token, d) in d_projected.iter().enumerate() {
-            for group in 0..GROUPS {
-                let at = (first + token) * WIDTH + 2 * group * HEAD;
+        let pieces = gradients.iter_mut().enumerate().collect();
+        for_all(pieces, |(group, out): (usize, &mut GroupGradient<T>)| {
+            let zeroed = |buffer: &mut Vec<T>, len| {
+                buffer.clear();
+                buffer.resize(len, T::zero());
+            };
+            zeroed(&mut out.tokens, self.rows() * GROUP_WIDTH);
+            zeroed(&mut out.parameters, GROUP_PARAMETERS);
+            out.projected.clear();
+            out.projected.resize(projected.len(), [T::zero(); 3]);
+            let mut d_mw = [[T::zero(); 3]; HEAD];
+            let mut output = Output {
+                tokens: &mut out.tokens,
+                parameters: &mut out.parameters,
+                mw: &mut d_mw,
+                projected: &mut out.projected,
+            };
+            run_backward(&input, group, grad, &mut output);
+            let (w, m) = (groups[group].w, groups[group].m);
+            // Projections Wᵀ s of the body tokens.
+            for (token, d) in out.projected.iter().enumerate() {
+                let row = &mut out.tokens[(first + token) * GROUP_WIDTH..][..HEAD];
+                let s = head(input.row(first + token), group * GROUP_WIDTH);
                 for i in 0..HEAD {
                     for axis in 0..3 {
-                        d_tokens[at + i] += groups[group].w[3 * i + axis] * d[group][axis];
-                        d_parameters[group * GROUP_PARAMETERS + 3 * i + axis] +=
-                            token_values[at + i] * d[group][axis];
+                        row[i] += w[3 * i + axis] * d[axis];
+                        out.parameters[3 * i + axis] += s[i] * d[axis];
                     }
                 }
             }
-        }
-        // The product M W.
-        for (group, d) in d_mw.iter().enumerate() {
-            let (w, m) = (groups[group].w, groups[group].m);
-            let base = group * GROUP_PARAMETERS;
+            // The product M W.
             for row in 0..HEAD {
                 for inner in 0..HEAD {
                     for axis in 0..3 {
-                        d_parameters[base + HEAD * 3 + row * HEAD + inner] +=
-                            d[row][axis] * w[3 * inner + axis];
-                        d_parameters[base + 3 * inner + axis] +=
-                            d[row][axis] * m[row * HEAD + inner];
+                        out.parameters[HEAD * 3 + row * HEAD + inner] +=
+                            d_mw[row][axis] * w[3 * inner + axis];
+                        out.parameters[3 * inner + axis] += d_mw[row][axis] * m[row * HEAD + inner];
                     }
                 }
             }
+        });
+    }
+}
+
+/// Rows of the token matrix's gradient `[rows, 128]`, from row `first` on, out of the groups'.
+pub(super) fn token_gradient<T: Real>(
+    gradients: &[GroupGradient<T>; GROUPS],
+    first: usize,
+    out: &mut [T],
+) {
+    for (offset, out) in out.chunks_exact_mut(WIDTH).enumerate() {
+        let row = (first + offset) * GROUP_WIDTH;
+        for (gradient, out) in gradients.iter().zip(out.chunks_exact_mut(GROUP_WIDTH)) {
+            out.copy_from_slice(&gradient.tokens[row..row + GROUP_WIDTH]);
         }
-        let device = tokens.device();
-        Ok((
-            Tensor::from_vec(d_tokens, tokens.shape(), device)?,
-            Tensor::from_vec(d_parameters, parameters.shape(), device)?,
-        ))
+    }
+}
+
+/// Gradient of the parameters, groups one behind the other.
+pub(super) fn parameter_gradient<T: Real>(gradients: &[GroupGradient<T>; GROUPS], out: &mut [T]) {
+    for (gradient, out) in gradients.iter().zip(out.chunks_exact_mut(GROUP_PARAMETERS)) {
+        out.copy_from_slice(&gradient.parameters);
     }
 }
 
@@ -633,25 +695,9 @@ impl CustomOp2 for Attention {
     ) -> Result<(CpuStorage, Shape)> {
         self.check(l1, l2)?;
         by_dtype!(super::dtype_of(s1), T => {
-            let (tokens, parameters) = (operand::<T>(s1, l1)?, operand::<T>(s2, l2)?);
-            let groups = Group::all(parameters);
-            let projected = self.body_projected(tokens, &groups);
             let receivers = self.edges.mesh.rows();
-            let input = Input {
-                edges: &self.edges,
-                tokens,
-                receivers,
-                groups: &groups,
-                body_projected: &projected,
-                own_slots: self.own_slots,
-            };
             let mut out = vec![<T as num_traits::Zero>::zero(); receivers * WIDTH];
-            let block = |(index, out): (usize, &mut [T])| run_forward(&input, index * BLOCK_ROWS, out);
-            if rayon::current_thread_index().is_some() {
-                out.chunks_mut(BLOCK_ROWS * WIDTH).enumerate().for_each(block);
-            } else {
-                out.par_chunks_mut(BLOCK_ROWS * WIDTH).enumerate().for_each(block);
-            }
+            self.forward::<T>(operand(s1, l1)?, operand(s2, l2)?, &mut out);
             Ok((<T as candle_core::WithDType>::to_cpu_storage_owned(out), (receivers, WIDTH).into()))
         })
     }
@@ -664,8 +710,17 @@ impl CustomOp2 for Attention {
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>)> {
         by_dtype!(tokens.dtype(), T => {
-            let (d_tokens, d_parameters) = self.gradients::<T>(tokens, parameters, grad)?;
-            Ok((Some(d_tokens), Some(d_parameters)))
+            let mut gradients: [GroupGradient<T>; GROUPS] = Default::default();
+            self.backward::<T>(&values(tokens)?, &values(parameters)?, &values(grad)?, &mut gradients);
+            let mut d_tokens = vec![<T as num_traits::Zero>::zero(); tokens.elem_count()];
+            token_gradient(&gradients, 0, &mut d_tokens);
+            let mut d_parameters = vec![<T as num_traits::Zero>::zero(); parameters.elem_count()];
+            parameter_gradient(&gradients, &mut d_parameters);
+            let device = tokens.device();
+            Ok((
+                Some(Tensor::from_vec(d_tokens, tokens.shape(), device)?),
+                Some(Tensor::from_vec(d_parameters, parameters.shape(), device)?),
+            ))
         })
     }
 }

@@ -14,14 +14,17 @@ use std::ops::Range;
 use std::sync::OnceLock;
 
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
-use rayon::prelude::*;
 
-use super::linear::multiply;
-use super::{Real, by_dtype, operand, simd_dispatch, values};
+use super::product::{
+    add, add_outer, add_rows, fill_rows, mask, push_transposed, relu, rows_times,
+};
+use super::{Real, by_dtype, for_all, operand, simd_dispatch, values};
 
 const EPSILON: f64 = 1e-7;
 /// Rows of a block, about: a few arrays of this many rows fit a core's cache.
 const BLOCK_ROWS: usize = 128;
+/// Parts of the backward pass that can run side by side; fixed, so that bits do not depend on threads.
+const LANES: usize = 8;
 
 /// What the decoder's layers are applied to.
 #[derive(Clone, Debug)]
@@ -58,35 +61,16 @@ struct Decoder {
     passes: Option<OnceLock<Vec<u8>>>,
 }
 
-/// Rows become copies of the bias, which a product is added to.
-#[inline(always)]
-fn fill_rows<T: Real>(bias: &[T], rows: &mut [T]) {
-    for row in rows.chunks_exact_mut(bias.len()) {
-        row.copy_from_slice(bias);
-    }
-}
-
-/// max(0, ·); a NaN passes.
-#[inline(always)]
-fn relu<T: Real>(values: &mut [T]) {
-    for value in values {
-        *value = if *value < T::zero() {
-            T::zero()
-        } else {
-            *value
-        };
-    }
-}
-
 /// `y += relu(x)` per row of x, and where it passes.
 #[inline(always)]
-fn add_relu<T: Real>(x: &[T], y: &mut [T], passes: &mut [u8]) {
-    for (x, passes) in x
-        .chunks_exact(y.len())
-        .zip(passes.chunks_exact_mut(y.len()))
-    {
-        for ((y, &x), pass) in y.iter_mut().zip(x).zip(passes) {
+fn add_relu<T: Real>(x: &[T], y: &mut [T], passes: Option<&mut [u8]>) {
+    for x in x.chunks_exact(y.len()) {
+        for (y, &x) in y.iter_mut().zip(x) {
             *y += if x < T::zero() { T::zero() } else { x };
+        }
+    }
+    if let Some(passes) = passes {
+        for (pass, &x) in passes.iter_mut().zip(x) {
             *pass = u8::from(x > T::zero());
         }
     }
@@ -107,24 +91,9 @@ fn masked_row<T: Real>(g: &[T], factor: T, passes: &[u8], out: &mut [T], sum: &m
     }
 }
 
-/// Zeroes gradients where the layer's output is not positive, and adds rows to `sum`.
-#[inline(always)]
-fn mask<T: Real>(y: &[T], g: &mut [T], sum: &mut [T]) {
-    let width = sum.len();
-    for (y, g) in y.chunks_exact(width).zip(g.chunks_exact_mut(width)) {
-        for ((&y, g), sum) in y.iter().zip(g).zip(sum.iter_mut()) {
-            *g = if y > T::zero() { *g } else { T::zero() };
-            *sum += *g;
-        }
-    }
-}
-
-simd_dispatch!(fn run_fill_rows => fill_rows<T>(bias: &[T], rows: &mut [T]));
-simd_dispatch!(fn run_relu => relu<T>(values: &mut [T]));
-simd_dispatch!(fn run_add_relu => add_relu<T>(x: &[T], y: &mut [T], passes: &mut [u8]));
+simd_dispatch!(fn run_add_relu => add_relu<T>(x: &[T], y: &mut [T], passes: Option<&mut [u8]>));
 simd_dispatch!(fn run_scale => scale<T>(row: &mut [T], factor: T));
 simd_dispatch!(fn run_masked_row => masked_row<T>(g: &[T], factor: T, passes: &[u8], out: &mut [T], sum: &mut [T]));
-simd_dispatch!(fn run_mask => mask<T>(y: &[T], g: &mut [T], sum: &mut [T]));
 
 /// Widths of a call.
 #[derive(Clone, Copy)]
@@ -139,19 +108,17 @@ fn split<T>(layer: &[T], out: usize) -> (&[T], &[T]) {
     layer.split_at(layer.len() - out)
 }
 
-/// `out = bias + x Wᵀ`.
-fn affine<T: Real>(x: &[T], layer: &[T], (inner, out): (usize, usize), y: &mut [T]) {
-    let (weight, bias) = split(layer, out);
-    run_fill_rows(bias, y);
-    multiply(
-        y.len() / out,
-        out,
-        inner,
-        y,
-        true,
-        (x, 1, inner),
-        (weight, inner, 1),
-    );
+/// `out = b + x Wᵀ` with the layer's `Wᵀ`.
+fn affine<T: Real>(x: &[T], transposed: &[T], bias: &[T], y: &mut [T]) {
+    fill_rows(bias, y);
+    rows_times(x, transposed, bias.len(), y, true);
+}
+
+/// `Wᵀ` of a layer.
+fn transposed<T: Real>(weight: &[T], inner: usize) -> Vec<T> {
+    let mut all = Vec::new();
+    push_transposed(weight, inner, &mut all);
+    all
 }
 
 impl Decoder {
@@ -220,7 +187,14 @@ impl Decoder {
             hidden,
         } = sizes;
         let mut y = vec![T::zero(); (self.segments.offsets.len() - 1) * hidden];
-        let mut passes = vec![0u8; rows * hidden];
+        let mut passes = vec![
+            0u8;
+            if self.passes.is_some() {
+                rows * hidden
+            } else {
+                0
+            }
+        ];
         let blocks = self.blocks();
         let mut work = Vec::new();
         let (mut y_left, mut passes_left) = (y.as_mut_slice(), passes.as_mut_slice());
@@ -228,45 +202,39 @@ impl Decoder {
             let rows = self.rows(&segments);
             let (y_block, rest) = y_left.split_at_mut(segments.len() * hidden);
             y_left = rest;
-            let (passes_block, rest) = passes_left.split_at_mut(rows.len() * hidden);
+            let kept = rows.len() * hidden;
+            let (passes_block, rest) =
+                passes_left.split_at_mut(if passes_left.is_empty() { 0 } else { kept });
             passes_left = rest;
             work.push((segments, rows, y_block, passes_block));
         }
-        let block = |buffers: &mut [Vec<T>; 2],
-                     (segments, rows, y, passes): (
-            Range<usize>,
-            Range<usize>,
-            &mut [T],
-            &mut [u8],
-        )| {
-            let [one, two] = buffers;
-            one.resize(rows.len() * hidden, T::zero());
-            two.resize(rows.len() * hidden, T::zero());
-            let x = &x[rows.start * inner..rows.end * inner];
-            affine(x, first, (inner, hidden), one);
-            run_relu(one);
-            affine(one, second, (hidden, hidden), two);
+        let ((w1, b1), (w2, b2)) = (split(first, hidden), split(second, hidden));
+        let (w1, w2) = (transposed(w1, inner), transposed(w2, hidden));
+        for_all(work, |(segments, rows, y, passes)| {
+            let mut one = vec![T::zero(); rows.len() * hidden];
+            let mut two = vec![T::zero(); rows.len() * hidden];
+            affine(&x[rows.start * inner..rows.end * inner], &w1, b1, &mut one);
+            relu(&mut one);
+            affine(&one, &w2, b2, &mut two);
             for (y, segment) in y.chunks_exact_mut(hidden).zip(segments) {
                 let own = self.rows(&(segment..segment + 1));
                 let own = (own.start - rows.start) * hidden..(own.end - rows.start) * hidden;
-                run_add_relu(&two[own.clone()], y, &mut passes[own]);
+                let passes = match passes.is_empty() {
+                    true => None,
+                    false => Some(&mut passes[own.clone()]),
+                };
+                run_add_relu(&two[own], y, passes);
                 run_scale(y, self.divisor(segment));
             }
-        };
-        let buffers = || [Vec::new(), Vec::new()];
-        if rayon::current_thread_index().is_some() {
-            let mut buffers = buffers();
-            work.into_iter().for_each(|item| block(&mut buffers, item));
-        } else {
-            work.into_par_iter().for_each_init(buffers, block);
-        }
+        });
         if let Some(kept) = &self.passes {
             kept.get_or_init(|| passes);
         }
         y
     }
 
-    /// Gradients of x and of both layers.
+    /// Gradients of x and of both layers. The blocks are dealt to [`LANES`] lanes, which sum the
+    /// layers' gradients apart.
     fn backward<T: Real>(
         &self,
         (x, first, second): (&[T], &[T], &[T]),
@@ -275,74 +243,58 @@ impl Decoder {
         passes: &[u8],
     ) -> [Vec<T>; 3] {
         let Sizes { inner, hidden, .. } = sizes;
+        let blocks = self.blocks();
         let mut dx = vec![T::zero(); x.len()];
+        let ((w1, b1), w2) = (split(first, hidden), split(second, hidden).0);
+        let w1t = transposed(w1, inner);
+        let mut lanes: Vec<[Vec<T>; 2]> = (0..LANES.min(blocks.len()))
+            .map(|_| [first.len(), second.len()].map(|len| vec![T::zero(); len]))
+            .collect();
+        let (mut work, mut dx_left) = (Vec::new(), dx.as_mut_slice());
+        let per_lane = blocks.len().div_ceil(lanes.len().max(1));
+        for (blocks, lane) in blocks.chunks(per_lane.max(1)).zip(&mut lanes) {
+            let rows = self.rows(&(blocks[0].start..blocks[blocks.len() - 1].end));
+            let (dx, rest) = dx_left.split_at_mut(rows.len() * inner);
+            dx_left = rest;
+            work.push((blocks, dx, lane));
+        }
+        for_all(work, |(blocks, mut dx, [d_first, d_second])| {
+            let (dw1, db1) = d_first.split_at_mut(hidden * inner);
+            let (dw2, db2) = d_second.split_at_mut(hidden * hidden);
+            let (mut one, mut outer, mut inward) = (Vec::new(), Vec::new(), Vec::new());
+            for segments in blocks {
+                let rows = self.rows(segments);
+                for buffer in [&mut one, &mut outer, &mut inward] {
+                    buffer.resize(rows.len() * hidden, T::zero());
+                }
+                let x = &x[rows.start * inner..rows.end * inner];
+                affine(x, &w1t, b1, &mut one);
+                relu(&mut one);
+                for segment in segments.clone() {
+                    let factor = self.divisor(segment);
+                    let g = &g[segment * hidden..(segment + 1) * hidden];
+                    for row in self.rows(&(segment..segment + 1)) {
+                        let at = (row - rows.start) * hidden;
+                        let passes = &passes[row * hidden..(row + 1) * hidden];
+                        run_masked_row(g, factor, passes, &mut outer[at..at + hidden], db2);
+                    }
+                }
+                add_outer(&outer, &one, hidden, dw2);
+                rows_times(&outer, w2, hidden, &mut inward, false);
+                mask(&one, &mut inward);
+                add_rows(&inward, db1);
+                add_outer(&inward, x, inner, dw1);
+                let own = dx
+                    .split_off_mut(..rows.len() * inner)
+                    .expect("cut to the lane's rows");
+                rows_times(&inward, w1, inner, own, false);
+            }
+        });
         let mut d_first = vec![T::zero(); first.len()];
         let mut d_second = vec![T::zero(); second.len()];
-        let (dw1, db1) = d_first.split_at_mut(hidden * inner);
-        let (dw2, db2) = d_second.split_at_mut(hidden * hidden);
-        let (w1, w2) = (split(first, hidden).0, split(second, hidden).0);
-        let (mut one, mut outer, mut inward) = (Vec::new(), Vec::new(), Vec::new());
-        for segments in self.blocks() {
-            let rows = self.rows(&segments);
-            let count = rows.len();
-            for buffer in [&mut one, &mut outer, &mut inward] {
-                buffer.resize(count * hidden, T::zero());
-            }
-            let x = &x[rows.start * inner..rows.end * inner];
-            affine(x, first, (inner, hidden), &mut one);
-            run_relu(&mut one);
-            for segment in segments {
-                let factor = self.divisor(segment);
-                let g = &g[segment * hidden..(segment + 1) * hidden];
-                for row in self.rows(&(segment..segment + 1)) {
-                    let at = (row - rows.start) * hidden;
-                    run_masked_row(
-                        g,
-                        factor,
-                        &passes[row * hidden..(row + 1) * hidden],
-                        &mut outer[at..at + hidden],
-                        db2,
-                    );
-                }
-            }
-            multiply(
-                hidden,
-                hidden,
-                count,
-                dw2,
-                true,
-                (&outer, hidden, 1),
-                (&one, 1, hidden),
-            );
-            multiply(
-                count,
-                hidden,
-                hidden,
-                &mut inward,
-                false,
-                (&outer, 1, hidden),
-                (w2, 1, hidden),
-            );
-            run_mask(&one, &mut inward, db1);
-            multiply(
-                hidden,
-                inner,
-                count,
-                dw1,
-                true,
-                (&inward, hidden, 1),
-                (x, 1, inner),
-            );
-            let dx = &mut dx[rows.start * inner..rows.end * inner];
-            multiply(
-                count,
-                inner,
-                hidden,
-                dx,
-                false,
-                (&inward, 1, hidden),
-                (w1, 1, inner),
-            );
+        for [lane_first, lane_second] in &lanes {
+            add(lane_first, &mut d_first);
+            add(lane_second, &mut d_second);
         }
         [dx, d_first, d_second]
     }

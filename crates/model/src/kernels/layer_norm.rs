@@ -5,9 +5,12 @@
 
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
 
-use super::{Real, by_dtype, operand, simd_dispatch, values};
+use super::product::add;
+use super::{Real, by_dtype, for_all, operand, simd_dispatch, values};
 
 const EPSILON: f64 = 1e-5;
+/// Rows of one piece; fixed, so that bits do not depend on threads.
+const BLOCK_ROWS: usize = 256;
 
 /// Layer norm of each row.
 ///
@@ -74,8 +77,8 @@ fn backward_rows<T: Real>(x: &[T], w: &[T], g: &[T], dx: &mut [T], dw: &mut [T],
     }
 }
 
-simd_dispatch!(fn run_forward => forward_rows<T>(x: &[T], w: &[T], b: &[T], y: &mut [T]));
-simd_dispatch!(fn run_backward => backward_rows<T>(x: &[T], w: &[T], g: &[T], dx: &mut [T], dw: &mut [T], db: &mut [T]));
+simd_dispatch!(pub(super) fn run_forward => forward_rows<T>(x: &[T], w: &[T], b: &[T], y: &mut [T]));
+simd_dispatch!(pub(super) fn run_backward => backward_rows<T>(x: &[T], w: &[T], g: &[T], dx: &mut [T], dw: &mut [T], db: &mut [T]));
 
 impl CustomOp3 for LayerNorm {
     fn name(&self) -> &'static str {
@@ -102,7 +105,10 @@ impl CustomOp3 for LayerNorm {
         by_dtype!(super::dtype_of(s1), T => {
             let x = operand::<T>(s1, l1)?;
             let mut y = vec![<T as num_traits::Zero>::zero(); x.len()];
-            run_forward::<T>(x, operand(s2, l2)?, operand(s3, l3)?, &mut y);
+            let (w, b) = (operand::<T>(s2, l2)?, operand::<T>(s3, l3)?);
+            let block = (BLOCK_ROWS * width).max(1);
+            let blocks = x.chunks(block).zip(y.chunks_mut(block)).collect();
+            for_all(blocks, |(x, y): (&[T], &mut [T])| run_forward::<T>(x, w, b, y));
             Ok((<T as candle_core::WithDType>::to_cpu_storage_owned(y), l1.shape().clone()))
         })
     }
@@ -118,10 +124,24 @@ impl CustomOp3 for LayerNorm {
         by_dtype!(x.dtype(), T => {
             let zero = <T as num_traits::Zero>::zero();
             let (w, g, input) = (values::<T>(weight)?, values::<T>(grad)?, values::<T>(x)?);
-            let (mut dx, mut dw, mut db) = (vec![zero; g.len()], vec![zero; w.len()], vec![zero; w.len()]);
-            run_backward::<T>(&input, &w, &g, &mut dx, &mut dw, &mut db);
+            let (w, g, input): (&[T], &[T], &[T]) = (&w, &g, &input);
+            let (width, block) = (w.len(), (BLOCK_ROWS * w.len()).max(1));
+            let mut dx = vec![zero; g.len()];
+            // Each block sums its own part of dw and db; the parts are added in order.
+            let mut parts = vec![zero; 2 * width * g.len().div_ceil(block)];
+            let blocks = input.chunks(block).zip(g.chunks(block)).zip(dx.chunks_mut(block));
+            let blocks = blocks.zip(parts.chunks_mut((2 * width).max(1))).collect();
+            type Piece<'a, T> = (((&'a [T], &'a [T]), &'a mut [T]), &'a mut [T]);
+            for_all(blocks, |(((x, g), dx), part): Piece<T>| {
+                let (dw, db) = part.split_at_mut(width);
+                run_backward::<T>(x, w, g, dx, dw, db);
+            });
+            let (mut dw, mut db) = (vec![zero; width], vec![zero; width]);
+            for part in parts.chunks_exact((2 * width).max(1)) {
+                add(&part[..width], &mut dw);
+                add(&part[width..], &mut db);
+            }
             let device = x.device();
-            let width = w.len();
             Ok((
                 Some(Tensor::from_vec(dx, x.shape(), device)?),
                 Some(Tensor::from_vec(dw, width, device)?),

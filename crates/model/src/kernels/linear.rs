@@ -4,14 +4,17 @@
 //! Backward, with g masked by y > 0 under ReLU: `dx = g W`, `dW = gᵀ x`, `db = Σ_rows g`.
 
 use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor};
-use gemm::Parallelism;
-use rayon::prelude::*;
 
-use super::{Real, by_dtype, operand, values};
+use super::product::{
+    add_rows, fill_rows, mask, multiply_columns, push_transposed, relu, rows_times,
+};
+use super::{Real, by_dtype, for_all, operand, values};
 
 /// Rows of one block of the forward product. Fixed, so that results do not
 /// depend on how many threads share the blocks.
 const BLOCK_ROWS: usize = 256;
+/// Rows of dW of one piece.
+const BLOCK_OUT: usize = 64;
 
 /// What follows the affine map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,48 +59,6 @@ struct Linear {
     activation: Activation,
 }
 
-/// `dst[m, n] = dst·keep + a·b` for matrices given by (column stride, row stride).
-#[allow(clippy::too_many_arguments)]
-pub(super) fn multiply<T: Real>(
-    m: usize,
-    n: usize,
-    k: usize,
-    dst: &mut [T],
-    keep: bool,
-    (a, a_col, a_row): (&[T], usize, usize),
-    (b, b_col, b_row): (&[T], usize, usize),
-) {
-    assert_eq!(dst.len(), m * n);
-    assert!(a.len() == m * k && b.len() == k * n);
-    if m == 0 || n == 0 {
-        return;
-    }
-    // SAFETY: the strides address exactly the lengths asserted above, and `dst` is borrowed mutably.
-    unsafe {
-        gemm::gemm(
-            m,
-            n,
-            k,
-            dst.as_mut_ptr(),
-            1,
-            n as isize,
-            keep,
-            a.as_ptr(),
-            a_col as isize,
-            a_row as isize,
-            b.as_ptr(),
-            b_col as isize,
-            b_row as isize,
-            T::one(),
-            T::one(),
-            false,
-            false,
-            false,
-            Parallelism::None,
-        );
-    }
-}
-
 fn sizes(x: &Layout, weight: &Layout) -> Result<(usize, usize, usize)> {
     let (rows, inner) = x.shape().dims2()?;
     let (out, inner_w) = weight.shape().dims2()?;
@@ -116,43 +77,23 @@ fn forward<T: Real>(
     (rows, inner, out): (usize, usize, usize),
     activation: Activation,
 ) -> Vec<T> {
-    // Rows start as the bias, which the product is added to.
-    let mut y = match bias {
-        Some(bias) => bias.repeat(rows),
-        None => vec![T::zero(); rows * out],
-    };
-    let block = |(x, y): (&[T], &mut [T])| {
-        multiply(
-            y.len() / out,
-            out,
-            inner,
-            y,
-            bias.is_some(),
-            (x, 1, inner),
-            (weight, inner, 1),
-        );
-        if activation == Activation::Relu {
-            for value in y {
-                // A NaN passes.
-                *value = if *value < T::zero() {
-                    T::zero()
-                } else {
-                    *value
-                };
-            }
-        }
-    };
-    let blocks = (
-        x.chunks(BLOCK_ROWS * inner.max(1)),
-        y.chunks_mut(BLOCK_ROWS * out.max(1)),
-    );
-    if rows <= BLOCK_ROWS || rayon::current_thread_index().is_some() {
-        blocks.0.zip(blocks.1).for_each(block);
-    } else {
-        x.par_chunks(BLOCK_ROWS * inner)
-            .zip(y.par_chunks_mut(BLOCK_ROWS * out))
-            .for_each(block);
+    let mut y = vec![T::zero(); rows * out];
+    if y.is_empty() {
+        return y;
     }
+    let mut transposed = Vec::new();
+    push_transposed(weight, inner, &mut transposed);
+    let x = x.chunks(BLOCK_ROWS * inner);
+    let blocks = x.zip(y.chunks_mut(BLOCK_ROWS * out)).collect();
+    for_all(blocks, |(x, y): (&[T], &mut [T])| {
+        if let Some(bias) = bias {
+            fill_rows(bias, y);
+        }
+        rows_times(x, &transposed, out, y, bias.is_some());
+        if activation == Activation::Relu {
+            relu(y);
+        }
+    });
     y
 }
 
@@ -167,59 +108,52 @@ fn backward<T: Real>(
     with_bias: bool,
 ) -> Result<Gradients> {
     let ((rows, inner), out) = (x.dims2()?, weight.dim(0)?);
-    let grad = values::<T>(grad)?;
-    let masked: Vec<T>;
-    let g: &[T] = if activation == Activation::Relu {
-        let y = values::<T>(res)?;
-        masked = grad
-            .iter()
-            .zip(y.iter())
-            .map(|(&g, &y)| if y > T::zero() { g } else { T::zero() })
-            .collect();
-        &masked
-    } else {
-        &grad
-    };
+    let mut g = values::<T>(grad)?.to_vec();
+    let (y, w, input) = (values::<T>(res)?, values::<T>(weight)?, values::<T>(x)?);
+    let (y, w, input): (&[T], &[T], &[T]) = (&y, &w, &input);
+    let mut dx = vec![T::zero(); if x.track_op() { rows * inner } else { 0 }];
+    if out > 0 && inner > 0 {
+        let mut parts = dx.chunks_mut(BLOCK_ROWS * inner);
+        let g = g.chunks_mut(BLOCK_ROWS * out);
+        let blocks = g.zip(y.chunks(BLOCK_ROWS * out));
+        let blocks = blocks.map(|block| (block, parts.next())).collect();
+        for_all(
+            blocks,
+            |((g, y), dx): ((&mut [T], &[T]), Option<&mut [T]>)| {
+                if activation == Activation::Relu {
+                    mask(y, g);
+                }
+                if let Some(dx) = dx {
+                    rows_times(g, w, inner, dx, false);
+                }
+            },
+        );
+    }
     let device = x.device();
-    let dx = if x.track_op() {
-        let w = values::<T>(weight)?;
-        let mut dx = vec![T::zero(); rows * inner];
-        multiply(
-            rows,
-            inner,
-            out,
-            &mut dx,
-            false,
-            (g, 1, out),
-            (&w, 1, inner),
-        );
-        Some(Tensor::from_vec(dx, (rows, inner), device)?)
-    } else {
-        None
-    };
     let dw = if weight.track_op() {
-        let x = values::<T>(x)?;
+        let g: &[T] = &g;
         let mut dw = vec![T::zero(); out * inner];
-        multiply(
-            out,
-            inner,
-            rows,
-            &mut dw,
-            false,
-            (g, out, 1),
-            (&x, 1, inner),
-        );
+        // Each piece makes rows of dW, over all rows of x in one product.
+        let pieces = dw
+            .chunks_mut((BLOCK_OUT * inner).max(1))
+            .enumerate()
+            .collect();
+        for_all(pieces, |(piece, dw): (usize, &mut [T])| {
+            let first = piece * BLOCK_OUT;
+            let count = dw.len() / inner;
+            multiply_columns(g, (first, count, out), input, inner, dw);
+        });
         Some(Tensor::from_vec(dw, (out, inner), device)?)
     } else {
         None
     };
+    let dx = match x.track_op() {
+        true => Some(Tensor::from_vec(dx, (rows, inner), device)?),
+        false => None,
+    };
     let db = if with_bias {
         let mut db = vec![T::zero(); out];
-        for row in g.chunks_exact(out) {
-            for (sum, value) in db.iter_mut().zip(row) {
-                *sum += *value;
-            }
-        }
+        add_rows(&g, &mut db);
         Some(Tensor::from_vec(db, out, device)?)
     } else {
         None

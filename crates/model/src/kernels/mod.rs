@@ -7,16 +7,30 @@
 //! into fixed chunks, so results do not depend on the number of threads.
 
 pub mod attention;
+pub mod blocks;
 pub mod decoder;
 pub mod layer_norm;
 pub mod linear;
+mod product;
 pub mod row_map;
 
 use candle_core::{CpuStorage, Layout, Result, Tensor, WithDType};
+use rayon::prelude::*;
+
+/// Does independent pieces of work: in parallel, unless this thread already is one of a
+/// pool's (training then runs samples side by side). What a piece computes must not depend
+/// on who does it.
+pub(crate) fn for_all<I: Send>(pieces: Vec<I>, work: impl Fn(I) + Send + Sync) {
+    if rayon::current_thread_index().is_some() {
+        pieces.into_iter().for_each(work);
+    } else {
+        pieces.into_par_iter().for_each(work);
+    }
+}
 
 /// Scalars the kernels run in.
 pub trait Real:
-    WithDType + num_traits::Float + Send + Sync + std::ops::AddAssign + 'static
+    WithDType + num_traits::Float + Default + Send + Sync + std::ops::AddAssign + 'static
 {
     /// Converts a constant.
     fn of(value: f64) -> Self;
@@ -116,10 +130,10 @@ pub(crate) use by_dtype;
 /// Defines `$name`, which runs the `#[inline(always)]` function `$inner` compiled
 /// for the widest vector units found at run time.
 macro_rules! simd_dispatch {
-    ($(#[$doc:meta])* fn $name:ident => $inner:ident<$T:ident>($($arg:ident: $ty:ty),* $(,)?)) => {
+    ($(#[$doc:meta])* $vis:vis fn $name:ident => $inner:ident<$T:ident>($($arg:ident: $ty:ty),* $(,)?)) => {
         $(#[$doc])*
         #[allow(clippy::too_many_arguments)]
-        fn $name<$T: $crate::kernels::Real>($($arg: $ty),*) {
+        $vis fn $name<$T: $crate::kernels::Real>($($arg: $ty),*) {
             #[cfg(target_arch = "x86_64")]
             {
                 #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq,avx2,fma")]
