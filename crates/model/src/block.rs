@@ -7,7 +7,7 @@ use candle_core::Tensor;
 use crate::config::{BodyMessages, ModelConfig};
 use crate::error::Result;
 use crate::kernels::attention::{Edges, GROUPS};
-use crate::kernels::blocks::{Ends, Stack, apply};
+use crate::kernels::blocks::{Ends, Stack, Transposes, apply};
 use crate::kernels::linear::{Activation, linear};
 use crate::layersnet::Source;
 use crate::parameters::{Parameters, group_rotation_name};
@@ -27,6 +27,7 @@ pub struct Blocks {
     count: usize,
     /// One block's weights behind the other's, in the kernel's order.
     weights: Tensor,
+    transposes: Arc<Transposes>,
     own_slots: bool,
     trainable: bool,
 }
@@ -54,6 +55,7 @@ impl Blocks {
         Ok(Self {
             count: config.blocks,
             weights: Tensor::cat(&weights, 0)?,
+            transposes: Arc::default(),
             own_slots: config.body_messages == BodyMessages::Own,
             trainable: source.trainable,
         })
@@ -99,6 +101,7 @@ impl Blocks {
             own_slots: self.own_slots,
             ends,
             keep: self.trainable,
+            transposes: self.transposes.clone(),
         };
         Ok(apply(&all, &self.weights, stack)?)
     }

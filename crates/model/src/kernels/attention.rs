@@ -32,6 +32,8 @@ pub const WIDTH: usize = 2 * GROUPS * HEAD;
 /// Parameters of one group: W, M, c.
 pub const GROUP_PARAMETERS: usize = HEAD * 3 + HEAD * HEAD + HEAD;
 
+/// Rows whose scores are computed at once.
+const LANES: usize = 16;
 const EPSILON: f64 = 1e-7;
 const SQUARED_DISTANCE_FLOOR: f64 = 1e-12;
 const KAPPA: f64 = 0.25;
@@ -96,12 +98,12 @@ pub(super) struct GroupGradient<T> {
     projected: Vec<[T; 3]>,
 }
 
-/// One group's parameters, with M W multiplied out.
+/// One group's parameters, with M W multiplied out; `[16, 3]` matrices column by column.
 struct Group<'a, T> {
-    w: &'a [T],
+    w: [[T; HEAD]; 3],
     m: &'a [T],
-    c: &'a [T],
-    mw: [[T; 3]; HEAD],
+    c: &'a [T; HEAD],
+    mw: [[T; HEAD]; 3],
 }
 
 impl<'a, T: Real> Group<'a, T> {
@@ -109,17 +111,23 @@ impl<'a, T: Real> Group<'a, T> {
         parameters
             .chunks_exact(GROUP_PARAMETERS)
             .map(|all| {
-                let (w, rest) = all.split_at(HEAD * 3);
+                let (rows, rest) = all.split_at(HEAD * 3);
                 let (m, c) = rest.split_at(HEAD * HEAD);
-                let mut mw = [[T::zero(); 3]; HEAD];
-                for (row, out) in mw.iter_mut().enumerate() {
-                    for inner in 0..HEAD {
-                        for (axis, value) in out.iter_mut().enumerate() {
-                            *value += m[row * HEAD + inner] * w[inner * 3 + axis];
+                let w = std::array::from_fn(|axis| std::array::from_fn(|i| rows[3 * i + axis]));
+                let mut mw = [[T::zero(); HEAD]; 3];
+                for (out, w) in mw.iter_mut().zip(&w) {
+                    for (row, value) in out.iter_mut().enumerate() {
+                        for (inner, &w) in w.iter().enumerate() {
+                            *value += m[row * HEAD + inner] * w;
                         }
                     }
                 }
-                Group { w, m, c, mw }
+                Group {
+                    w,
+                    m,
+                    c: head(c, 0),
+                    mw,
+                }
             })
             .collect()
     }
@@ -143,16 +151,74 @@ fn tree_sum<T: Real>(mut v: [T; HEAD]) -> T {
     (v[0] + v[2]) + (v[1] + v[3])
 }
 
-/// `Wᵀ x`.
-#[inline(always)]
-fn project<T: Real>(w: &[T], x: &[T; HEAD]) -> [T; 3] {
-    let mut z = [T::zero(); 3];
-    for i in 0..HEAD {
-        for axis in 0..3 {
-            z[axis] += w[i * 3 + axis] * x[i];
+/// One head of up to sixteen rows, channel by channel: sums over channels are then sums of
+/// vectors, one lane a row.
+struct Lanes<T>([[T; LANES]; HEAD]);
+
+impl<T: Real> Lanes<T> {
+    fn new() -> Self {
+        Self([[T::zero(); LANES]; HEAD])
+    }
+
+    /// Fills the first lanes; the others keep what they held.
+    #[inline(always)]
+    fn load(&mut self, input: &Input<T>, rows: &[usize], start: usize) {
+        for (lane, &row) in rows.iter().enumerate() {
+            let s = head(input.row(row), start);
+            for i in 0..HEAD {
+                self.0[i][lane] = s[i];
+            }
         }
     }
-    z
+
+    /// `|r − s|²`.
+    #[inline(always)]
+    fn squared_distance(&self, r: &[T; HEAD]) -> [T; LANES] {
+        let mut sum = [T::zero(); LANES];
+        for i in 0..HEAD {
+            for lane in 0..LANES {
+                let d = r[i] - self.0[i][lane];
+                sum[lane] += d * d;
+            }
+        }
+        sum
+    }
+
+    /// `x·(r + s)`.
+    #[inline(always)]
+    fn along(&self, x: &[T; HEAD], r: &[T; HEAD]) -> [T; LANES] {
+        let mut sum = [T::zero(); LANES];
+        for i in 0..HEAD {
+            for lane in 0..LANES {
+                sum[lane] += x[i] * (r[i] + self.0[i][lane]);
+            }
+        }
+        sum
+    }
+}
+
+/// `Wᵀ x`.
+#[inline(always)]
+fn project<T: Real>(w: &[[T; HEAD]; 3], x: &[T; HEAD]) -> [T; 3] {
+    [dot(&w[0], x), dot(&w[1], x), dot(&w[2], x)]
+}
+
+#[inline(always)]
+fn dot<T: Real>(x: &[T; HEAD], y: &[T; HEAD]) -> T {
+    let mut v = [T::zero(); HEAD];
+    for i in 0..HEAD {
+        v[i] = x[i] * y[i];
+    }
+    tree_sum(v)
+}
+
+/// `W z`, added to x.
+#[inline(always)]
+fn lift<T: Real>(w: &[[T; HEAD]; 3], z: [T; 3], x: &mut [T]) {
+    let x: &mut [T; HEAD] = x.try_into().expect("a head is 16 wide");
+    for i in 0..HEAD {
+        x[i] += w[0][i] * z[0] + w[1][i] * z[1] + w[2][i] * z[2];
+    }
 }
 
 #[inline(always)]
@@ -188,54 +254,20 @@ struct Input<'a, T> {
     own_slots: bool,
 }
 
-/// One entry's share of a softmax.
-#[derive(Clone, Copy)]
-struct Entry<T> {
-    /// Row of the sender in the token matrix.
-    row: usize,
-    /// Body token, if it is one.
-    body: Option<usize>,
-    /// |r − s|.
-    distance: T,
-    /// (r + s)·q.
-    alignment: T,
-    /// Logit, then probability.
-    weight: T,
-}
-
-/// Distance, alignment and logit of an entry. A function of its own, so that it is
-/// compiled for the caller's vector units.
-#[inline(always)]
-fn score<T: Real>(
-    r: &[T; HEAD],
-    q: &[T; HEAD],
-    s: &[T; HEAD],
-    (row, body): (usize, Option<usize>),
-    bias: T,
-) -> Entry<T> {
-    let (mut squares, mut products) = ([T::zero(); HEAD], [T::zero(); HEAD]);
-    for i in 0..HEAD {
-        let d = r[i] - s[i];
-        squares[i] = d * d;
-        products[i] = q[i] * (r[i] + s[i]);
-    }
-    let squared = tree_sum(squares);
-    let floor = T::of(SQUARED_DISTANCE_FLOOR);
-    // Written so that a NaN stays a NaN and is found.
-    let distance = if squared < floor {
-        floor.sqrt()
-    } else {
-        squared.sqrt()
-    };
-    let alignment = tree_sum(products);
-    let weight = T::of(2.0 * KAPPA) * alignment / (distance + T::of(2.0 * EPSILON)) + bias;
-    Entry {
-        row,
-        body,
-        distance,
-        alignment,
-        weight,
-    }
+/// The entries of one receiver's head, and their softmax. All but `rows` have room for whole
+/// [`LANES`]; what is beyond `count` means nothing.
+#[derive(Default)]
+struct Softmax<T> {
+    /// Number of entries; those from `body_from` on are body tokens.
+    count: usize,
+    body_from: usize,
+    /// Rows of the senders in the token matrix, and what is added to their logits.
+    rows: Vec<usize>,
+    bias: Vec<T>,
+    /// |r − s|, (r + s)·q, and the probability.
+    distance: Vec<T>,
+    alignment: Vec<T>,
+    weight: Vec<T>,
 }
 
 impl<'a, T: Real> Input<'a, T> {
@@ -244,45 +276,96 @@ impl<'a, T: Real> Input<'a, T> {
         &self.tokens[row * WIDTH..(row + 1) * WIDTH]
     }
 
-    /// Probabilities of one head of one receiver. `start` is the head's first channel.
+    /// Row of the first body token.
+    fn first_body(&self) -> usize {
+        2 * self.receivers + self.edges.senders
+    }
+
+    /// Lists the entries of a receiver's mesh or world heads.
     #[inline(always)]
-    fn entries(&self, receiver: usize, mesh: bool, start: usize, out: &mut Vec<Entry<T>>) {
-        out.clear();
+    fn list(&self, receiver: usize, mesh: bool, out: &mut Softmax<T>) {
         let edges = self.edges;
-        let r = head(self.row(receiver), start);
-        let q = head(self.row(self.receivers + receiver), start);
+        out.rows.clear();
+        out.bias.clear();
         let list = if mesh { &edges.mesh } else { &edges.world };
-        let first = 2 * self.receivers;
-        for &sender in list.row(receiver) {
-            let row = first + sender as usize;
-            let s = head(self.row(row), start);
-            out.push(score(r, q, s, (row, None), T::zero()));
-        }
+        let senders = list.row(receiver).iter();
+        out.rows
+            .extend(senders.map(|&sender| 2 * self.receivers + sender as usize));
+        out.body_from = out.rows.len();
+        out.bias.resize(out.body_from, T::zero());
         if !mesh {
             let range =
                 edges.body.offsets[receiver] as usize..edges.body.offsets[receiver + 1] as usize;
             let counts = &edges.body_log_count[range.clone()];
-            for (&token, &count) in edges.body.items[range].iter().zip(counts) {
-                let row = first + edges.senders + token as usize;
-                let s = head(self.row(row), start);
-                let bias = T::of(f64::from(count));
-                out.push(score(r, q, s, (row, Some(token as usize)), bias));
+            let tokens = edges.body.items[range].iter();
+            out.rows
+                .extend(tokens.map(|&token| self.first_body() + token as usize));
+            out.bias
+                .extend(counts.iter().map(|&count| T::of(f64::from(count))));
+        }
+        out.count = out.rows.len();
+        let room = out.count.next_multiple_of(LANES);
+        for buffer in [
+            &mut out.bias,
+            &mut out.distance,
+            &mut out.alignment,
+            &mut out.weight,
+        ] {
+            buffer.resize(room, T::zero());
+        }
+    }
+
+    /// Distances, alignments and probabilities of the listed entries for the head at channel `start`.
+    #[inline(always)]
+    fn weigh(&self, receiver: usize, start: usize, list: &mut Softmax<T>) {
+        let r = head(self.row(receiver), start);
+        let q = head(self.row(self.receivers + receiver), start);
+        let floor = T::of(SQUARED_DISTANCE_FLOOR);
+        let mut lanes = Lanes::new();
+        let outputs = (list.distance.chunks_exact_mut(LANES))
+            .zip(list.alignment.chunks_exact_mut(LANES))
+            .zip(list.weight.chunks_exact_mut(LANES));
+        for ((rows, bias), ((distance, alignment), weight)) in list
+            .rows
+            .chunks(LANES)
+            .zip(list.bias.chunks_exact(LANES))
+            .zip(outputs)
+        {
+            lanes.load(self, rows, start);
+            let squared = lanes.squared_distance(r);
+            let along = lanes.along(q, r);
+            for lane in 0..LANES {
+                // Written so that a NaN stays a NaN and is found.
+                let kept = if squared[lane] < floor {
+                    floor
+                } else {
+                    squared[lane]
+                };
+                let d = kept.sqrt();
+                distance[lane] = d;
+                alignment[lane] = along[lane];
+                weight[lane] =
+                    T::of(2.0 * KAPPA) * along[lane] / (d + T::of(2.0 * EPSILON)) + bias[lane];
             }
         }
-        let largest = out.iter().fold(T::neg_infinity(), |top, entry| {
-            if entry.weight > top || entry.weight.is_nan() {
-                entry.weight
+        let weights = &mut list.weight[..list.count];
+        let largest = weights.iter().fold(T::neg_infinity(), |top, &weight| {
+            if weight > top || weight.is_nan() {
+                weight
             } else {
                 top
             }
         });
-        let mut total = T::zero();
-        for entry in out.iter_mut() {
-            entry.weight = (entry.weight - largest).exp();
-            total += entry.weight;
+        for weight in weights.iter_mut() {
+            *weight = (*weight - largest).exp_of_negative();
         }
-        for entry in out.iter_mut() {
-            entry.weight /= total;
+        let mut total = T::zero();
+        for &weight in weights.iter() {
+            total += weight;
+        }
+        let share = T::one() / total;
+        for weight in weights {
+            *weight = *weight * share;
         }
     }
 
@@ -306,7 +389,7 @@ impl<'a, T: Real> Input<'a, T> {
         );
         let mut y = [T::zero(); HEAD];
         for i in 0..HEAD {
-            let value = g.mw[i][0] * t[0] + g.mw[i][1] * t[1] + g.mw[i][2] * t[2] + g.c[i];
+            let value = g.mw[0][i] * t[0] + g.mw[1][i] * t[1] + g.mw[2][i] * t[2] + g.c[i];
             y[i] = if value < T::zero() { T::zero() } else { value };
         }
         (t, y)
@@ -315,199 +398,213 @@ impl<'a, T: Real> Input<'a, T> {
 
 #[inline(always)]
 fn forward_rows<T: Real>(input: &Input<T>, first: usize, out: &mut [T]) {
-    let mut entries = Vec::new();
+    let mut list = Softmax::default();
     for (offset, out) in out.chunks_exact_mut(WIDTH).enumerate() {
         let receiver = first + offset;
-        for group in 0..GROUPS {
-            for mesh in [false, true] {
+        for mesh in [false, true] {
+            input.list(receiver, mesh, &mut list);
+            if list.count == 0 {
+                continue;
+            }
+            for group in 0..GROUPS {
                 let start = (2 * group + usize::from(mesh)) * HEAD;
-                input.entries(receiver, mesh, start, &mut entries);
+                input.weigh(receiver, start, &mut list);
                 let r = head(input.row(receiver), start);
-                let mut sum = [T::zero(); HEAD];
-                let mut turned = [T::zero(); 3];
-                let a = project(input.groups[group].w, r);
-                for entry in &entries {
-                    let value = entry.weight / entry.distance;
-                    if let Some(token) = entry.body {
-                        let (_, y) = input.body_inner(group, token, a);
-                        let o = turn_back(
-                            &input.edges.rotations[token],
-                            project(input.groups[group].w, &y),
-                        );
-                        for axis in 0..3 {
-                            turned[axis] += value * o[axis];
-                        }
-                    } else {
-                        let s = head(input.row(entry.row), start);
-                        for i in 0..HEAD {
-                            sum[i] += value * (r[i] + s[i]);
-                        }
+                // Σ v (r + s) = r Σ v + Σ v s.
+                let (mut sum, mut all) = ([T::zero(); HEAD], T::zero());
+                for entry in 0..list.body_from {
+                    let value = list.weight[entry] / list.distance[entry];
+                    let s = head(input.row(list.rows[entry]), start);
+                    all += value;
+                    for i in 0..HEAD {
+                        sum[i] += value * s[i];
                     }
                 }
                 for i in 0..HEAD {
-                    out[start + i] += sum[i];
+                    out[start + i] += all * r[i] + sum[i];
                 }
                 if !mesh {
-                    let w = input.groups[group].w;
-                    let body = input.body_start(group);
-                    for i in 0..HEAD {
-                        out[body + i] += w[3 * i] * turned[0]
-                            + w[3 * i + 1] * turned[1]
-                            + w[3 * i + 2] * turned[2];
+                    let w = &input.groups[group].w;
+                    let a = project(w, r);
+                    let mut turned = [T::zero(); 3];
+                    for entry in list.body_from..list.count {
+                        let value = list.weight[entry] / list.distance[entry];
+                        let token = list.rows[entry] - input.first_body();
+                        let (_, y) = input.body_inner(group, token, a);
+                        let o = turn_back(&input.edges.rotations[token], project(w, &y));
+                        for axis in 0..3 {
+                            turned[axis] += value * o[axis];
+                        }
                     }
+                    lift(w, turned, &mut out[input.body_start(group)..][..HEAD]);
                 }
             }
         }
     }
 }
 
-/// What the backward pass of one group adds to; `mw` collects dM W products.
+/// What the backward pass of one group adds to; `[16, 3]` matrices column by column, M W as a product.
 struct Output<'a, T> {
     tokens: &'a mut [T],
     parameters: &'a mut [T],
-    mw: &'a mut [[T; 3]; HEAD],
+    w: [[T; HEAD]; 3],
+    mw: [[T; HEAD]; 3],
+    c: [T; HEAD],
     projected: &'a mut [[T; 3]],
 }
 
-/// Gradient of an entry's weight, and of a body entry the message's parts:
-/// `R Wᵀ(r + s)`, `relu(M W · + c)`, `Rᵀ Wᵀ` of that, and `Wᵀ` of that.
-type Message<T> = (T, [T; 3], [T; HEAD], [T; 3], [T; 3]);
+/// Of a body entry: `R Wᵀ(r + s)`, `relu(M W · + c)`, and `Rᵀ Wᵀ` of that.
+type Message<T> = ([T; 3], [T; HEAD], [T; 3]);
 
 #[inline(always)]
 fn backward_group<T: Real>(input: &Input<T>, group: usize, grad: &[T], out: &mut Output<T>) {
-    let mut entries = Vec::new();
-    // Per entry: gradient of the weight, and for body entries the message's parts.
-    let mut inner: Vec<Message<T>> = Vec::new();
-    let zero3 = [T::zero(); 3];
+    let w = &input.groups[group].w;
+    let mut list = Softmax::default();
+    // Gradients of the weights, and the body entries' messages.
+    let mut d_weight: Vec<T> = Vec::new();
+    let mut messages: Vec<Message<T>> = Vec::new();
+    let mut lanes = Lanes::new();
     for (receiver, grad) in grad.chunks_exact(WIDTH).enumerate() {
-        {
-            let w = input.groups[group].w;
-            for mesh in [false, true] {
-                let own = if mesh { HEAD } else { 0 };
-                let start = (2 * group + usize::from(mesh)) * HEAD;
-                input.entries(receiver, mesh, start, &mut entries);
-                if entries.is_empty() {
-                    continue;
-                }
-                let r = head(input.row(receiver), start);
-                let q = head(input.row(input.receivers + receiver), start);
-                let g = head(grad, start);
-                let body_g = head(grad, input.body_start(group));
-                let a = if mesh { zero3 } else { project(w, r) };
-                let lifted_g = if mesh { zero3 } else { project(w, body_g) };
-                let mut turned = zero3;
-                inner.clear();
-                let mut mean = T::zero();
-                for entry in &entries {
-                    let value = entry.weight / entry.distance;
-                    let parts = if let Some(token) = entry.body {
-                        let (t, y) = input.body_inner(group, token, a);
-                        let wy = project(w, &y);
-                        let o = turn_back(&input.edges.rotations[token], wy);
-                        for axis in 0..3 {
-                            turned[axis] += value * o[axis];
-                        }
-                        let dp = lifted_g[0] * o[0] + lifted_g[1] * o[1] + lifted_g[2] * o[2];
-                        (dp / entry.distance, t, y, o, wy)
-                    } else {
-                        let s = head(input.row(entry.row), start);
-                        let mut sum = [T::zero(); HEAD];
-                        for i in 0..HEAD {
-                            sum[i] = g[i] * (r[i] + s[i]);
-                        }
-                        (
-                            tree_sum(sum) / entry.distance,
-                            zero3,
-                            [T::zero(); HEAD],
-                            zero3,
-                            zero3,
-                        )
-                    };
-                    mean += entry.weight * parts.0;
-                    inner.push(parts);
-                }
-                let mut dr = [T::zero(); HEAD];
-                let mut dq = [T::zero(); HEAD];
-                let mut da = zero3;
-                for (entry, &(dp, t, y, _, _)) in entries.iter().zip(&inner) {
-                    let s = head(input.row(entry.row), start);
-                    let soft = entry.distance + T::of(2.0 * EPSILON);
-                    let dl = entry.weight * (dp - mean);
-                    let scale = dl * T::of(2.0 * KAPPA) / soft;
-                    let value = entry.weight / entry.distance;
-                    // Both the logit and the message fall with the distance; below its floor it is constant.
-                    let floored = entry.distance * entry.distance <= T::of(SQUARED_DISTANCE_FLOOR);
-                    let d_distance = if floored {
-                        T::zero()
-                    } else {
-                        -(scale * entry.alignment / soft + value * dp)
-                    };
-                    let along = d_distance / entry.distance;
-                    let plain = if entry.body.is_some() {
-                        T::zero()
-                    } else {
-                        value
-                    };
-                    let ds = &mut out.tokens[entry.row * GROUP_WIDTH + own..][..HEAD];
-                    for i in 0..HEAD {
-                        let both = scale * q[i] + plain * g[i];
-                        let apart = along * (r[i] - s[i]);
-                        dr[i] += both + apart;
-                        ds[i] += both - apart;
-                        dq[i] += scale * (r[i] + s[i]);
-                    }
-                    if let Some(token) = entry.body {
-                        let rotation = &input.edges.rotations[token];
-                        // d(Wᵀ y), turned into the token's frame.
-                        let dz = turn(rotation, lifted_g.map(|x| x * value));
-                        let dw = &mut out.parameters[..HEAD * 3];
-                        let mut dt = zero3;
-                        let mut dy = [T::zero(); HEAD];
-                        for i in 0..HEAD {
-                            for axis in 0..3 {
-                                dw[3 * i + axis] += y[i] * dz[axis];
-                            }
-                            let raw =
-                                w[3 * i] * dz[0] + w[3 * i + 1] * dz[1] + w[3 * i + 2] * dz[2];
-                            dy[i] = if y[i] > T::zero() { raw } else { T::zero() };
-                        }
-                        let dc = &mut out.parameters[HEAD * 3 + HEAD * HEAD..];
-                        let (mw, dmw) = (&input.groups[group].mw, &mut *out.mw);
-                        for i in 0..HEAD {
-                            dc[i] += dy[i];
-                            for axis in 0..3 {
-                                dt[axis] += mw[i][axis] * dy[i];
-                                dmw[i][axis] += dy[i] * t[axis];
-                            }
-                        }
-                        let db = turn_back(rotation, dt);
-                        for axis in 0..3 {
-                            da[axis] += db[axis];
-                            out.projected[token][axis] += db[axis];
-                        }
-                    }
-                }
-                if !mesh {
-                    let dw = &mut out.parameters[..HEAD * 3];
-                    for i in 0..HEAD {
-                        for axis in 0..3 {
-                            // The lift of the summed messages, and the projection of r.
-                            dw[3 * i + axis] += body_g[i] * turned[axis] + r[i] * da[axis];
-                            dr[i] += w[3 * i + axis] * da[axis];
-                        }
-                    }
-                }
-                let row = &mut out.tokens[receiver * GROUP_WIDTH + own..][..HEAD];
-                for i in 0..HEAD {
-                    row[i] += dr[i];
-                }
-                let row =
-                    &mut out.tokens[(input.receivers + receiver) * GROUP_WIDTH + own..][..HEAD];
-                for i in 0..HEAD {
-                    row[i] += dq[i];
+        for mesh in [false, true] {
+            input.list(receiver, mesh, &mut list);
+            if list.count == 0 {
+                continue;
+            }
+            let own = if mesh { HEAD } else { 0 };
+            let start = group * GROUP_WIDTH + own;
+            input.weigh(receiver, start, &mut list);
+            let r = head(input.row(receiver), start);
+            let q = head(input.row(input.receivers + receiver), start);
+            let g = head(grad, start);
+            let body_g = head(grad, input.body_start(group));
+            d_weight.resize(list.weight.len(), T::zero());
+            messages.clear();
+            let outputs = d_weight.chunks_exact_mut(LANES);
+            for ((rows, out), distance) in (list.rows[..list.body_from].chunks(LANES))
+                .zip(outputs)
+                .zip(list.distance.chunks_exact(LANES))
+            {
+                lanes.load(input, rows, start);
+                let along = lanes.along(g, r);
+                for lane in 0..LANES {
+                    out[lane] = along[lane] / distance[lane];
                 }
             }
+            let (mut turned, mut lifted_g) = ([T::zero(); 3], [T::zero(); 3]);
+            if !mesh {
+                let a = project(w, r);
+                lifted_g = project(w, body_g);
+                for entry in list.body_from..list.count {
+                    let token = list.rows[entry] - input.first_body();
+                    let value = list.weight[entry] / list.distance[entry];
+                    let (t, y) = input.body_inner(group, token, a);
+                    let o = turn_back(&input.edges.rotations[token], project(w, &y));
+                    for axis in 0..3 {
+                        turned[axis] += value * o[axis];
+                    }
+                    let along = lifted_g[0] * o[0] + lifted_g[1] * o[1] + lifted_g[2] * o[2];
+                    d_weight[entry] = along / list.distance[entry];
+                    messages.push((t, y, o));
+                }
+            }
+            let mut mean = T::zero();
+            for entry in 0..list.count {
+                mean += list.weight[entry] * d_weight[entry];
+            }
+            let mut dr = [T::zero(); HEAD];
+            let mut dq = [T::zero(); HEAD];
+            let mut da = [T::zero(); 3];
+            for entry in 0..list.count {
+                let (row, distance) = (list.rows[entry], list.distance[entry]);
+                let s = head(input.row(row), start);
+                let soft = distance + T::of(2.0 * EPSILON);
+                let dl = list.weight[entry] * (d_weight[entry] - mean);
+                let scale = dl * T::of(2.0 * KAPPA) / soft;
+                let value = list.weight[entry] / distance;
+                // Both the logit and the message fall with the distance; below its floor it is constant.
+                let floored = distance * distance <= T::of(SQUARED_DISTANCE_FLOOR);
+                let d_distance = if floored {
+                    T::zero()
+                } else {
+                    -(scale * list.alignment[entry] / soft + value * d_weight[entry])
+                };
+                let along = d_distance / distance;
+                let is_body = entry >= list.body_from;
+                let plain = if is_body { T::zero() } else { value };
+                let ds: &mut [T; HEAD] = (&mut out.tokens[row * GROUP_WIDTH + own..][..HEAD])
+                    .try_into()
+                    .expect("a head is 16 wide");
+                for i in 0..HEAD {
+                    let both = scale * q[i] + plain * g[i];
+                    let apart = along * (r[i] - s[i]);
+                    dr[i] += both + apart;
+                    ds[i] += both - apart;
+                    dq[i] += scale * (r[i] + s[i]);
+                }
+                if is_body {
+                    let token = row - input.first_body();
+                    let (t, y, _) = &messages[entry - list.body_from];
+                    let db = input.message_gradient(group, token, value, lifted_g, (t, y), out);
+                    for axis in 0..3 {
+                        da[axis] += db[axis];
+                        out.projected[token][axis] += db[axis];
+                    }
+                }
+            }
+            if !mesh {
+                // The lift of the summed messages, and the projection of r.
+                let dw = &mut out.parameters[..HEAD * 3];
+                for i in 0..HEAD {
+                    for axis in 0..3 {
+                        dw[3 * i + axis] += body_g[i] * turned[axis] + r[i] * da[axis];
+                    }
+                }
+                lift(w, da, &mut dr);
+            }
+            let row = &mut out.tokens[receiver * GROUP_WIDTH + own..][..HEAD];
+            for i in 0..HEAD {
+                row[i] += dr[i];
+            }
+            let row = &mut out.tokens[(input.receivers + receiver) * GROUP_WIDTH + own..][..HEAD];
+            for i in 0..HEAD {
+                row[i] += dq[i];
+            }
         }
+    }
+}
+
+impl<T: Real> Input<'_, T> {
+    /// Back through a body entry's message: adds to the gradients of W, M W and c, returns that of
+    /// `Wᵀ(r + s)`.
+    #[inline(always)]
+    fn message_gradient(
+        &self,
+        group: usize,
+        token: usize,
+        value: T,
+        lifted_g: [T; 3],
+        (t, y): (&[T; 3], &[T; HEAD]),
+        out: &mut Output<T>,
+    ) -> [T; 3] {
+        let rotation = &self.edges.rotations[token];
+        let Group { w, mw, .. } = &self.groups[group];
+        // d(Wᵀ y), turned into the token's frame.
+        let dz = turn(rotation, lifted_g.map(|x| x * value));
+        let mut dy = [T::zero(); HEAD];
+        lift(w, dz, &mut dy);
+        for i in 0..HEAD {
+            dy[i] = if y[i] > T::zero() { dy[i] } else { T::zero() };
+        }
+        for axis in 0..3 {
+            for i in 0..HEAD {
+                out.w[axis][i] += y[i] * dz[axis];
+                out.mw[axis][i] += dy[i] * t[axis];
+            }
+        }
+        for i in 0..HEAD {
+            out.c[i] += dy[i];
+        }
+        turn_back(rotation, project(mw, &dy))
     }
 }
 
@@ -520,7 +617,7 @@ impl Attention {
         tokens[first * WIDTH..]
             .chunks_exact(WIDTH)
             .map(|row| {
-                std::array::from_fn(|group| project(groups[group].w, head(row, 2 * group * HEAD)))
+                std::array::from_fn(|group| project(&groups[group].w, head(row, 2 * group * HEAD)))
             })
             .collect()
     }
@@ -626,33 +723,41 @@ impl Attention {
             zeroed(&mut out.parameters, GROUP_PARAMETERS);
             out.projected.clear();
             out.projected.resize(projected.len(), [T::zero(); 3]);
-            let mut d_mw = [[T::zero(); 3]; HEAD];
             let mut output = Output {
                 tokens: &mut out.tokens,
                 parameters: &mut out.parameters,
-                mw: &mut d_mw,
+                w: [[T::zero(); HEAD]; 3],
+                mw: [[T::zero(); HEAD]; 3],
+                c: [T::zero(); HEAD],
                 projected: &mut out.projected,
             };
             run_backward(&input, group, grad, &mut output);
-            let (w, m) = (groups[group].w, groups[group].m);
+            let Output { w: d_w, mw, c, .. } = output;
+            let Group { w, m, .. } = &groups[group];
+            let (d_rows, rest) = out.parameters.split_at_mut(HEAD * 3);
+            let (d_m, d_c) = rest.split_at_mut(HEAD * HEAD);
+            d_c.copy_from_slice(&c);
             // Projections Wᵀ s of the body tokens.
             for (token, d) in out.projected.iter().enumerate() {
-                let row = &mut out.tokens[(first + token) * GROUP_WIDTH..][..HEAD];
+                lift(
+                    w,
+                    *d,
+                    &mut out.tokens[(first + token) * GROUP_WIDTH..][..HEAD],
+                );
                 let s = head(input.row(first + token), group * GROUP_WIDTH);
                 for i in 0..HEAD {
                     for axis in 0..3 {
-                        row[i] += w[3 * i + axis] * d[axis];
-                        out.parameters[3 * i + axis] += s[i] * d[axis];
+                        d_rows[3 * i + axis] += s[i] * d[axis];
                     }
                 }
             }
             // The product M W.
-            for row in 0..HEAD {
-                for inner in 0..HEAD {
-                    for axis in 0..3 {
-                        out.parameters[HEAD * 3 + row * HEAD + inner] +=
-                            d_mw[row][axis] * w[3 * inner + axis];
-                        out.parameters[3 * inner + axis] += d_mw[row][axis] * m[row * HEAD + inner];
+            for axis in 0..3 {
+                for row in 0..HEAD {
+                    d_rows[3 * row + axis] += d_w[axis][row];
+                    for inner in 0..HEAD {
+                        d_m[row * HEAD + inner] += mw[axis][row] * w[axis][inner];
+                        d_rows[3 * inner + axis] += mw[axis][row] * m[row * HEAD + inner];
                     }
                 }
             }

@@ -16,7 +16,7 @@
 //! summed over tiles by one thread, several weights side by side.
 
 use std::ops::Range;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
 
@@ -108,6 +108,8 @@ pub struct Stack {
     pub ends: Ends,
     /// Whether to keep what the backward pass needs.
     pub keep: bool,
+    /// The transposes of the weights that the blocks are applied with.
+    pub transposes: Arc<Transposes>,
 }
 
 /// What the blocks return.
@@ -141,31 +143,24 @@ pub fn apply(tokens: &Tensor, parameters: &Tensor, stack: Stack) -> Result<Tenso
 
 struct Blocks {
     stack: Stack,
-    f32s: Mutex<Option<Kept<f32>>>,
-    f64s: Mutex<Option<Kept<f64>>>,
+    f32s: Mutex<Option<Workshop<f32>>>,
+    f64s: Mutex<Option<Workshop<f64>>>,
 }
 
-/// One block's weights with their transposes.
+/// Transposes of the blocks' weights, made once for as many calls as share them.
+#[derive(Debug, Default)]
+pub struct Transposes {
+    f32s: OnceLock<Vec<f32>>,
+    f64s: OnceLock<Vec<f64>>,
+}
+
+/// One block's weights with their transposes at the same places.
 struct Weights<'a, T> {
     all: &'a [T],
-    transposed: Vec<T>,
+    transposed: &'a [T],
 }
 
 impl<'a, T: Real> Weights<'a, T> {
-    fn new(all: &'a [T]) -> Self {
-        let mut transposed = Vec::new();
-        for layer in LAYERS {
-            // At the same places as the weights themselves.
-            transposed.resize(layer.start, T::zero());
-            push_transposed(
-                &all[layer.start..][..layer.inner * layer.out],
-                layer.inner,
-                &mut transposed,
-            );
-        }
-        Self { all, transposed }
-    }
-
     fn groups(&self) -> &'a [T] {
         &self.all[GROUPS_START..OUTPUT.start]
     }
@@ -238,7 +233,7 @@ struct Tile<T> {
 }
 
 /// What a block keeps.
-#[derive(Clone, Default)]
+#[derive(Default)]
 struct Block<T> {
     /// r, q, s one below the other, as the attention reads them.
     tokens: Vec<T>,
@@ -247,9 +242,28 @@ struct Block<T> {
     tiles: Vec<Tile<T>>,
 }
 
-/// What the backward pass needs.
-struct Kept<T> {
+/// Buffers of a pass. What the forward pass leaves in `blocks` is what the backward pass needs.
+/// Workshops are used again, so that passes over outfits of one size allocate nothing but results.
+#[derive(Default)]
+struct Workshop<T> {
     blocks: Vec<Block<T>>,
+    gradients: Vec<TileGradient<T>>,
+    groups: [GroupGradient<T>; GROUPS],
+    d_attended: Vec<T>,
+}
+
+impl<T: Keep> Workshop<T> {
+    /// One that nobody uses, or a new one.
+    fn take() -> Self {
+        let shelf = T::shelf().lock();
+        let free = shelf.expect("nobody panics with it").pop();
+        free.unwrap_or_default()
+    }
+
+    fn put_back(self) {
+        let shelf = T::shelf().lock();
+        shelf.expect("nobody panics with it").push(self);
+    }
 }
 
 /// Fits a buffer's length; what is in it is to be overwritten.
@@ -519,27 +533,52 @@ impl Blocks {
         self.attention().check_edges()
     }
 
-    fn forward<T: Real>(&self, tokens: &[T], parameters: &[T]) -> (Vec<T>, Kept<T>) {
+    fn weights<'a, T: Keep>(&'a self, parameters: &'a [T]) -> Vec<Weights<'a, T>> {
+        let transposed = T::transposes(&self.stack.transposes).get_or_init(|| {
+            let mut transposed = Vec::with_capacity(parameters.len());
+            for (index, all) in parameters.chunks_exact(BLOCK_PARAMETERS).enumerate() {
+                for layer in LAYERS {
+                    transposed.resize(index * BLOCK_PARAMETERS + layer.start, T::zero());
+                    let weight = &all[layer.start..][..layer.inner * layer.out];
+                    push_transposed(weight, layer.inner, &mut transposed);
+                }
+            }
+            transposed.resize(parameters.len(), T::zero());
+            transposed
+        });
+        parameters
+            .chunks_exact(BLOCK_PARAMETERS)
+            .zip(transposed.chunks_exact(BLOCK_PARAMETERS))
+            .map(|(all, transposed)| Weights { all, transposed })
+            .collect()
+    }
+
+    fn forward<T: Keep>(&self, tokens: &[T], parameters: &[T]) -> (Vec<T>, Workshop<T>) {
         let plan = Plan::new(&self.stack.edges);
         let attention = self.attention();
         let everything = self.stack.ends == Ends::Everything;
-        let weights: Vec<Weights<T>> = transposes(parameters);
+        let weights = self.weights(parameters);
+        let mut workshop = Workshop::<T>::take();
+        let blocks = &mut workshop.blocks;
         // Without a backward pass two blocks' buffers serve in turn.
         let kept = if self.stack.keep {
             self.stack.blocks
         } else {
             self.stack.blocks.min(2)
         };
-        let mut blocks: Vec<Block<T>> = (0..kept).map(|_| Block::new(&plan)).collect();
+        blocks.resize_with(kept, Block::default);
+        blocks.iter_mut().for_each(|block| block.fit(&plan));
         let (z, rest) = tokens.split_at(plan.rows * WIDTH);
         let (receiver, sender) = rest.split_at(plan.patches * WIDTH);
         for (tile, rows) in blocks[0].tiles.iter_mut().zip(&plan.tiles) {
             let at = rows.start * WIDTH..rows.end * WIDTH;
-            tile.z.extend_from_slice(&z[at.clone()]);
+            fit(&mut tile.z, at.len()).copy_from_slice(&z[at.clone()]);
             if rows.end <= plan.patches {
-                tile.receiver.extend_from_slice(&receiver[at.clone()]);
+                fit(&mut tile.receiver, at.len()).copy_from_slice(&receiver[at.clone()]);
+            } else {
+                tile.receiver.clear();
             }
-            tile.sender.extend_from_slice(&sender[at]);
+            fit(&mut tile.sender, at.len()).copy_from_slice(&sender[at]);
         }
         let out_rows = match self.stack.ends {
             Ends::Patches => self.stack.blocks * plan.patches,
@@ -644,36 +683,49 @@ impl Blocks {
                 tiles,
             };
         }
-        (out, Kept { blocks })
+        (out, workshop)
     }
 
     /// Gradients of tokens and parameters.
-    fn backward<T: Real>(&self, parameters: &[T], mut kept: Kept<T>, grad: &[T]) -> [Vec<T>; 2] {
+    fn backward<T: Keep>(
+        &self,
+        parameters: &[T],
+        workshop: &mut Workshop<T>,
+        grad: &[T],
+    ) -> [Vec<T>; 2] {
         let plan = Plan::new(&self.stack.edges);
         let attention = self.attention();
         let everything = self.stack.ends == Ends::Everything;
-        let weights: Vec<Weights<T>> = parameters
-            .chunks_exact(BLOCK_PARAMETERS)
-            .map(|all| Weights {
-                all,
-                transposed: Vec::new(),
-            })
-            .collect();
+        let weights = self.weights(parameters);
         let mut d_parameters = vec![T::zero(); parameters.len()];
-        let mut tiles: Vec<TileGradient<T>> = vec![TileGradient::default(); plan.tiles.len()];
-        let mut groups: [GroupGradient<T>; GROUPS] = Default::default();
-        let mut d_attended = vec![T::zero(); plan.patches * WIDTH];
+        let Workshop {
+            blocks,
+            gradients: tiles,
+            groups,
+            d_attended,
+        } = workshop;
+        tiles.resize_with(plan.tiles.len(), TileGradient::default);
+        fit(d_attended, plan.patches * WIDTH);
         let (d_z, rest) = grad.split_at(if everything { plan.rows * WIDTH } else { 0 });
         for (tile, rows) in tiles.iter_mut().zip(&plan.tiles) {
             let at = rows.start * WIDTH..rows.end * WIDTH;
-            fit(&mut tile.z, at.len());
+            let receiving = if rows.end <= plan.patches {
+                at.len()
+            } else {
+                0
+            };
+            let z = fit(&mut tile.z, at.len());
+            let receiver = fit(&mut tile.receiver, receiving);
+            let sender = fit(&mut tile.sender, at.len());
             if everything {
-                let (receiver, sender) = rest.split_at(plan.patches * WIDTH);
-                tile.z.copy_from_slice(&d_z[at.clone()]);
-                if rows.end <= plan.patches {
-                    tile.receiver.extend_from_slice(&receiver[at.clone()]);
+                let (d_receiver, d_sender) = rest.split_at(plan.patches * WIDTH);
+                z.copy_from_slice(&d_z[at.clone()]);
+                if receiving > 0 {
+                    receiver.copy_from_slice(&d_receiver[at.clone()]);
                 }
-                tile.sender.extend_from_slice(&sender[at]);
+                sender.copy_from_slice(&d_sender[at]);
+            } else {
+                z.fill(T::zero());
             }
         }
         for index in (0..self.stack.blocks).rev() {
@@ -683,7 +735,7 @@ impl Blocks {
                 tokens,
                 attended,
                 tiles: kept_tiles,
-            } = &mut kept.blocks[index];
+            } = &mut blocks[index];
             // Gradients of the patches' states after this block that come from outside.
             let from_outside = match self.stack.ends {
                 Ends::Patches => &grad[index * plan.patches * WIDTH..][..plan.patches * WIDTH],
@@ -695,7 +747,7 @@ impl Blocks {
             } else {
                 plan.tiles.len()
             };
-            let mut parts = plan.cut(&mut d_attended).into_iter();
+            let mut parts = plan.cut(d_attended).into_iter();
             let pieces: Vec<_> = tiles
                 .iter_mut()
                 .zip(kept_tiles.iter_mut())
@@ -719,22 +771,23 @@ impl Blocks {
                     gradient.update(weights, tile, rows, part, !last || everything);
                 } else {
                     fit(&mut gradient.s, rows[2].len()).fill(T::zero());
+                    gradient.r.clear();
                 }
             });
-            attention.backward(tokens, weights.groups(), &d_attended, &mut groups);
+            attention.backward(tokens, weights.groups(), d_attended, groups);
             let pieces = tiles.iter_mut().zip(&plan.tiles).collect();
             for_all(pieces, |(gradient, rows)| {
-                gradient.send(weights, &groups, rows, plan.patches)
+                gradient.send(weights, groups, rows, plan.patches)
             });
 
             let mut d_block = &mut d_parameters[index * BLOCK_PARAMETERS..][..BLOCK_PARAMETERS];
             let norms = d_block
                 .split_off_mut(NORMS_START..)
                 .expect("norms come last");
-            for tile in &tiles {
+            for tile in tiles.iter() {
                 add(&tile.norms, norms);
             }
-            parameter_gradient(&groups, &mut d_block[GROUPS_START..OUTPUT.start]);
+            parameter_gradient(groups, &mut d_block[GROUPS_START..OUTPUT.start]);
             let mut rest = d_block;
             let mut start = 0;
             let mut jobs = Vec::new();
@@ -752,7 +805,7 @@ impl Blocks {
             let memories = !last || everything;
             for_all(jobs, |(number, layer, d)| {
                 let (dw, db) = d.split_at_mut(layer.inner * layer.out);
-                for (tile, (kept, g)) in kept_tiles.iter().zip(&tiles).enumerate() {
+                for (tile, (kept, g)) in kept_tiles.iter().zip(tiles.iter()).enumerate() {
                     let [r, _, s] = plan.rows_of(tokens, tile);
                     let receives = tile < plan.receiving();
                     let part = if receives {
@@ -785,13 +838,13 @@ impl Blocks {
             });
         }
         let mut d_tokens = Vec::with_capacity((2 * plan.rows + plan.patches) * WIDTH);
-        for tile in &tiles {
+        for tile in tiles.iter() {
             d_tokens.extend_from_slice(&tile.z);
         }
-        for tile in &tiles {
+        for tile in tiles.iter() {
             d_tokens.extend_from_slice(&tile.receiver);
         }
-        for tile in &tiles {
+        for tile in tiles.iter() {
             d_tokens.extend_from_slice(&tile.sender);
         }
         [d_tokens, d_parameters]
@@ -799,38 +852,43 @@ impl Blocks {
 }
 
 impl<T: Real> Block<T> {
-    fn new(plan: &Plan) -> Self {
-        Self {
-            tokens: vec![T::zero(); (2 * plan.patches + plan.rows) * WIDTH],
-            attended: vec![T::zero(); plan.patches * WIDTH],
-            tiles: vec![Tile::default(); plan.tiles.len()],
-        }
+    fn fit(&mut self, plan: &Plan) {
+        fit(&mut self.tokens, (2 * plan.patches + plan.rows) * WIDTH);
+        fit(&mut self.attended, plan.patches * WIDTH);
+        self.tiles.resize_with(plan.tiles.len(), Tile::default);
     }
 }
 
-fn transposes<T: Real>(parameters: &[T]) -> Vec<Weights<'_, T>> {
-    parameters
-        .chunks_exact(BLOCK_PARAMETERS)
-        .map(Weights::new)
-        .collect()
-}
-
-/// Scalars with a place to keep what the backward pass needs.
+/// Scalars with places for what is kept.
 trait Keep: Real {
-    fn place(blocks: &Blocks) -> &Mutex<Option<Kept<Self>>>;
+    /// A call's workshop between its forward and its backward pass.
+    fn place(blocks: &Blocks) -> &Mutex<Option<Workshop<Self>>>;
+    /// Workshops that nobody uses at the moment.
+    fn shelf() -> &'static Mutex<Vec<Workshop<Self>>>;
+    fn transposes(transposes: &Transposes) -> &OnceLock<Vec<Self>>;
 }
 
-impl Keep for f32 {
-    fn place(blocks: &Blocks) -> &Mutex<Option<Kept<f32>>> {
-        &blocks.f32s
-    }
+macro_rules! keep {
+    ($T:ty, $field:ident) => {
+        impl Keep for $T {
+            fn place(blocks: &Blocks) -> &Mutex<Option<Workshop<Self>>> {
+                &blocks.$field
+            }
+
+            fn shelf() -> &'static Mutex<Vec<Workshop<Self>>> {
+                static SHELF: Mutex<Vec<Workshop<$T>>> = Mutex::new(Vec::new());
+                &SHELF
+            }
+
+            fn transposes(transposes: &Transposes) -> &OnceLock<Vec<Self>> {
+                &transposes.$field
+            }
+        }
+    };
 }
 
-impl Keep for f64 {
-    fn place(blocks: &Blocks) -> &Mutex<Option<Kept<f64>>> {
-        &blocks.f64s
-    }
-}
+keep!(f32, f32s);
+keep!(f64, f64s);
 
 impl CustomOp2 for Blocks {
     fn name(&self) -> &'static str {
@@ -846,9 +904,11 @@ impl CustomOp2 for Blocks {
     ) -> Result<(CpuStorage, Shape)> {
         self.check(l1.shape(), l2.shape())?;
         by_dtype!(super::dtype_of(s1), T => {
-            let (out, kept) = self.forward::<T>(operand(s1, l1)?, operand(s2, l2)?);
+            let (out, workshop) = self.forward::<T>(operand(s1, l1)?, operand(s2, l2)?);
             if self.stack.keep {
-                *<T as Keep>::place(self).lock().expect("nobody panics with it") = Some(kept);
+                *<T as Keep>::place(self).lock().expect("nobody panics with it") = Some(workshop);
+            } else {
+                workshop.put_back();
             }
             let shape = (out.len() / WIDTH, WIDTH);
             Ok((<T as candle_core::WithDType>::to_cpu_storage_owned(out), shape.into()))
@@ -864,10 +924,11 @@ impl CustomOp2 for Blocks {
     ) -> Result<(Option<Tensor>, Option<Tensor>)> {
         by_dtype!(tokens.dtype(), T => {
             let kept = <T as Keep>::place(self).lock().expect("nobody panics with it").take();
-            let Some(kept) = kept else {
+            let Some(mut workshop) = kept else {
                 candle_core::bail!("blocks: a backward pass, but nothing was kept for it (or it was used already)");
             };
-            let [d_tokens, d_parameters] = self.backward::<T>(&values(parameters)?, kept, &values(grad)?);
+            let [d_tokens, d_parameters] = self.backward::<T>(&values(parameters)?, &mut workshop, &values(grad)?);
+            workshop.put_back();
             let device = tokens.device();
             Ok((
                 Some(Tensor::from_vec(d_tokens, tokens.shape(), device)?),

@@ -18,7 +18,7 @@ use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
 use super::product::{
     add, add_outer, add_rows, fill_rows, mask, push_transposed, relu, rows_times,
 };
-use super::{Real, by_dtype, for_all, operand, simd_dispatch, values};
+use super::{Real, by_dtype, for_all, for_all_with, operand, simd_dispatch, values};
 
 const EPSILON: f64 = 1e-7;
 /// Rows of a block, about: a few arrays of this many rows fit a core's cache.
@@ -210,23 +210,26 @@ impl Decoder {
         }
         let ((w1, b1), (w2, b2)) = (split(first, hidden), split(second, hidden));
         let (w1, w2) = (transposed(w1, inner), transposed(w2, hidden));
-        for_all(work, |(segments, rows, y, passes)| {
-            let mut one = vec![T::zero(); rows.len() * hidden];
-            let mut two = vec![T::zero(); rows.len() * hidden];
-            affine(&x[rows.start * inner..rows.end * inner], &w1, b1, &mut one);
-            relu(&mut one);
-            affine(&one, &w2, b2, &mut two);
-            for (y, segment) in y.chunks_exact_mut(hidden).zip(segments) {
-                let own = self.rows(&(segment..segment + 1));
-                let own = (own.start - rows.start) * hidden..(own.end - rows.start) * hidden;
-                let passes = match passes.is_empty() {
-                    true => None,
-                    false => Some(&mut passes[own.clone()]),
-                };
-                run_add_relu(&two[own], y, passes);
-                run_scale(y, self.divisor(segment));
-            }
-        });
+        for_all_with(
+            work,
+            |[one, two]: &mut [Vec<T>; 2], (segments, rows, y, passes)| {
+                one.resize(rows.len() * hidden, T::zero());
+                two.resize(rows.len() * hidden, T::zero());
+                affine(&x[rows.start * inner..rows.end * inner], &w1, b1, one);
+                relu(one);
+                affine(one, &w2, b2, two);
+                for (y, segment) in y.chunks_exact_mut(hidden).zip(segments) {
+                    let own = self.rows(&(segment..segment + 1));
+                    let own = (own.start - rows.start) * hidden..(own.end - rows.start) * hidden;
+                    let passes = match passes.is_empty() {
+                        true => None,
+                        false => Some(&mut passes[own.clone()]),
+                    };
+                    run_add_relu(&two[own], y, passes);
+                    run_scale(y, self.divisor(segment));
+                }
+            },
+        );
         if let Some(kept) = &self.passes {
             kept.get_or_init(|| passes);
         }

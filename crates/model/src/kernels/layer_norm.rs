@@ -11,6 +11,7 @@ use super::{Real, by_dtype, for_all, operand, simd_dispatch, values};
 const EPSILON: f64 = 1e-5;
 /// Rows of one piece; fixed, so that bits do not depend on threads.
 const BLOCK_ROWS: usize = 256;
+const LANES: usize = 16;
 
 /// Layer norm of each row.
 ///
@@ -23,21 +24,34 @@ pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> 
 
 struct LayerNorm;
 
-/// Sum in eight interleaved lanes: a fixed order that vectorises.
+/// Sum of `term(i)` over `0..width` in sixteen interleaved lanes: a fixed order that vectorises.
 #[inline(always)]
-fn lane_sum<T: Real>(values: impl Iterator<Item = T>) -> T {
-    let mut lanes = [T::zero(); 16];
-    for (index, value) in values.enumerate() {
-        lanes[index % 16] += value;
+fn lane_sum<T: Real>(width: usize, term: impl Fn(usize) -> T) -> T {
+    let mut lanes = [T::zero(); LANES];
+    let whole = width / LANES * LANES;
+    for start in (0..whole).step_by(LANES) {
+        for (lane, sum) in lanes.iter_mut().enumerate() {
+            *sum += term(start + lane);
+        }
     }
-    lanes.into_iter().fold(T::zero(), |sum, lane| sum + lane)
+    for (lane, index) in (whole..width).enumerate() {
+        lanes[lane] += term(index);
+    }
+    let mut half = LANES / 2;
+    while half > 0 {
+        for lane in 0..half {
+            lanes[lane] = lanes[lane] + lanes[lane + half];
+        }
+        half /= 2;
+    }
+    lanes[0]
 }
 
 #[inline(always)]
 fn moments<T: Real>(row: &[T]) -> (T, T) {
     let n = T::of(row.len() as f64);
-    let mean = lane_sum(row.iter().copied()) / n;
-    let variance = lane_sum(row.iter().map(|&x| (x - mean) * (x - mean))) / n;
+    let mean = lane_sum(row.len(), |i| row[i]) / n;
+    let variance = lane_sum(row.len(), |i| (row[i] - mean) * (row[i] - mean)) / n;
     (mean, T::one() / (variance + T::of(EPSILON)).sqrt())
 }
 
@@ -61,13 +75,9 @@ fn backward_rows<T: Real>(x: &[T], w: &[T], g: &[T], dx: &mut [T], dw: &mut [T],
         .zip(dx.chunks_exact_mut(width))
     {
         let (mean, inverse) = moments(x);
-        let mean_h = lane_sum(g.iter().zip(w).map(|(&g, &w)| g * w)) / n;
-        let mean_hn = lane_sum(
-            g.iter()
-                .zip(w)
-                .zip(x)
-                .map(|((&g, &w), &x)| g * w * (x - mean) * inverse),
-        ) / n;
+        let (x, g, dx) = (&x[..width], &g[..width], &mut dx[..width]);
+        let mean_h = lane_sum(width, |i| g[i] * w[i]) / n;
+        let mean_hn = lane_sum(width, |i| g[i] * w[i] * (x[i] - mean) * inverse) / n;
         for i in 0..width {
             let normal = (x[i] - mean) * inverse;
             dx[i] = (g[i] * w[i] - mean_h - normal * mean_hn) * inverse;
