@@ -13,6 +13,7 @@ mod graph;
 pub mod kernels;
 mod layersnet;
 pub mod parameters;
+pub mod reference;
 
 pub use config::{
     BodyMessages, BodySlots, ForceFrames, FrameAxis, GravitySource, ModelConfig, OutputScale,
