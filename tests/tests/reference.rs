@@ -136,11 +136,12 @@ fn outputs(prediction: &Prediction) -> Vec<(String, &Tensor)> {
         ("relative", &prediction.relative),
         ("patch acceleration", &prediction.patch_acceleration),
     ];
-    let blocks = prediction.blocks.iter().enumerate();
+    // From the last on: a frozen network gives no other.
+    let blocks = prediction.blocks.iter().rev().enumerate();
     named
         .into_iter()
         .map(|(name, tensor)| (name.to_string(), tensor))
-        .chain(blocks.map(|(index, block)| (format!("block {index}"), block)))
+        .chain(blocks.map(|(index, block)| (format!("block {index} from the last"), block)))
         .collect()
 }
 
@@ -151,11 +152,18 @@ fn predictions_equal_those_of_the_kernels() {
         let mut worst = 0f64;
         for case in cases() {
             let parameters = case.parameters(dtype, 1);
-            let net = LayersNet::frozen(&case.config, &parameters).unwrap();
-            let (kernels, reference) = (case.by_kernels(&net), case.by_reference(&parameters));
-            let (found, expected) = (outputs(&reference), outputs(&kernels));
-            assert_eq!(found.len(), 3 + case.config.blocks);
-            for ((name, found), (_, expected)) in found.into_iter().zip(expected) {
+            let frozen = LayersNet::frozen(&case.config, &parameters).unwrap();
+            let trainable = LayersNet::trainable(&case.config, &parameters).unwrap();
+            let kernels = [case.by_kernels(&frozen), case.by_kernels(&trainable)];
+            let reference = case.by_reference(&parameters);
+            let expected = kernels.each_ref().map(outputs);
+            assert_eq!(expected[0].len(), 3 + 1);
+            assert_eq!(expected[1].len(), 3 + case.config.blocks);
+            let found = || outputs(&reference).into_iter();
+            let pairs = expected
+                .into_iter()
+                .flat_map(|expected| found().zip(expected));
+            for ((name, found), (_, expected)) in pairs {
                 assert_eq!(found.dims(), expected.dims(), "{name}");
                 assert_eq!(found.dtype(), dtype, "{name}");
                 let difference = relative(&flat(found), &flat(expected));
