@@ -4,6 +4,10 @@
 //! assumed is written into the sequence's warnings.
 
 #[cfg(feature = "npz")]
+mod array;
+#[cfg(feature = "npz")]
+mod density;
+#[cfg(feature = "npz")]
 mod npz;
 
 #[cfg(feature = "npz")]

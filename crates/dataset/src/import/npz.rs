@@ -28,7 +28,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use self::arrays::Arrays;
+pub(super) use self::arrays::Arrays;
 use self::root::roots;
 use self::scene::{Active, effects, gravity, recipe};
 use self::uv::fit_uv;

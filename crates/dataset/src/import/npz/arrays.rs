@@ -8,17 +8,12 @@ use npyz::npz::{self, NpzArchive};
 use npyz::{DType, Deserialize, NpyFile, Order, TypeChar};
 
 use crate::error::{DatasetError, Result};
+use crate::import::array::Array;
 
 /// An open `.npz` file (compressed or not).
-pub(super) struct Arrays {
+pub(in crate::import) struct Arrays {
     archive: NpzArchive<BufReader<File>>,
     path: PathBuf,
-}
-
-/// One numeric array in C order.
-struct Array {
-    shape: Vec<usize>,
-    values: Vec<f64>,
 }
 
 impl Arrays {
@@ -53,7 +48,7 @@ impl Arrays {
         if columns != N {
             return Err(self.shape(name, &format!("[rows, {N}]"), &array.shape));
         }
-        Ok(to_rows(&array.values))
+        Ok(array.rows())
     }
 
     /// Rows of `N` indices, `[row, N]`.
@@ -62,12 +57,9 @@ impl Arrays {
         if array.shape.len() != 2 || array.shape[1] != N {
             return Err(self.shape(name, &format!("[rows, {N}]"), &array.shape));
         }
-        let bad = |x: &&f64| x.fract() != 0.0 || !(0.0..=f64::from(u32::MAX)).contains(*x);
-        if let Some(bad) = array.values.iter().find(bad) {
-            return Err(self.invalid(name, "indices from 0", bad.to_string()));
-        }
-        let (rows, _) = array.values.as_chunks::<N>();
-        Ok(rows.iter().map(|row| row.map(|x| x as u32)).collect())
+        array
+            .index_rows()
+            .map_err(|bad| self.invalid(name, "indices from 0", bad.to_string()))
     }
 
     /// Positions of every frame, `[frame, vertex, 3]`.
@@ -82,7 +74,10 @@ impl Arrays {
         Ok(array
             .values
             .chunks_exact(vertices * 3)
-            .map(to_rows)
+            .map(|frame| {
+                let (rows, _) = frame.as_chunks::<3>();
+                rows.iter().map(|row| row.map(|x| x as f32)).collect()
+            })
             .collect())
     }
 
@@ -161,7 +156,8 @@ impl Arrays {
             .map_err(|error| self.invalid(name, "a readable array", error.to_string()))
     }
 
-    fn array(&mut self, name: &str) -> Result<Array> {
+    /// Any numeric array.
+    pub fn array(&mut self, name: &str) -> Result<Array> {
         let file = self.entry(name)?;
         let shape: Vec<usize> = file.shape().iter().map(|&n| n as usize).collect();
         let order = file.order();
@@ -183,11 +179,10 @@ impl Arrays {
         };
         let values =
             values.map_err(|error| self.invalid(name, "a readable array", error.to_string()))?;
-        let values = match order {
-            Order::Fortran => c_order(&values, &shape),
-            Order::C => values,
-        };
-        Ok(Array { shape, values })
+        Ok(match order {
+            Order::Fortran => Array::from_fortran(shape, &values),
+            Order::C => Array { shape, values },
+        })
     }
 }
 
@@ -199,32 +194,5 @@ fn numbers<T: Deserialize>(
     file.data::<T>()
         .map_err(io::Error::other)?
         .map(|value| value.map(&to_f64))
-        .collect()
-}
-
-fn to_rows<const N: usize>(values: &[f64]) -> Vec<[f32; N]> {
-    let (rows, _) = values.as_chunks::<N>();
-    rows.iter().map(|row| row.map(|x| x as f32)).collect()
-}
-
-/// Values stored with the first index fastest, with the last one fastest.
-fn c_order(values: &[f64], shape: &[usize]) -> Vec<f64> {
-    let mut index = vec![0; shape.len()];
-    (0..values.len())
-        .map(|_| {
-            let at = index
-                .iter()
-                .zip(shape)
-                .rev()
-                .fold(0, |at, (i, n)| at * n + i);
-            for (i, n) in index.iter_mut().zip(shape).rev() {
-                *i += 1;
-                if *i < *n {
-                    break;
-                }
-                *i = 0;
-            }
-            values[at]
-        })
         .collect()
 }

@@ -3,6 +3,7 @@
 //! space and in UV.
 
 use crate::error::{DatasetError, Result};
+use crate::import::density::{DENSITY_TOLERANCE, area, uv_area};
 use crate::sequence::Garment;
 
 /// Metres that one UV unit stands for after the import (the source's UVs are
@@ -10,9 +11,6 @@ use crate::sequence::Garment;
 /// every file, so that patches are equally large in UV, too; a larger outfit
 /// raises it to its own size.
 pub const METRES_PER_UV: f32 = 3.0;
-
-/// Garments whose UV density differs by more than this get a warning.
-const DENSITY_TOLERANCE: f64 = 0.05;
 
 /// Scales all UVs into `[0, 1]` by one factor; returns metres per UV unit,
 /// from the ratio of the garments' areas in space and in UV.
@@ -89,28 +87,4 @@ fn garment_indices_fit(garment: &Garment) -> Result<()> {
         return invalid("rest and UV", "areas above 0", format!("{space} and {uv}"));
     }
     Ok(())
-}
-
-fn area(positions: &[[f32; 3]], faces: &[[u32; 3]]) -> f64 {
-    faces
-        .iter()
-        .map(|face| {
-            let [a, b, c] = face.map(|i| positions[i as usize].map(f64::from));
-            let (u, v): ([f64; 3], [f64; 3]) = (
-                std::array::from_fn(|k| b[k] - a[k]),
-                std::array::from_fn(|k| c[k] - a[k]),
-            );
-            let cross = [
-                u[1] * v[2] - u[2] * v[1],
-                u[2] * v[0] - u[0] * v[2],
-                u[0] * v[1] - u[1] * v[0],
-            ];
-            cross.iter().map(|x| x * x).sum::<f64>().sqrt() / 2.0
-        })
-        .sum()
-}
-
-fn uv_area(garment: &Garment) -> f64 {
-    let flat: Vec<[f32; 3]> = garment.uv.iter().map(|&[u, v]| [u, v, 0.0]).collect();
-    area(&flat, &garment.uv_faces)
 }
