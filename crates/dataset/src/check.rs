@@ -9,7 +9,7 @@ use crate::sequence::{Frame, Garment, SequenceHeader};
 
 /// A unit quaternion's norm may differ from one by this much: f32 rounding of
 /// an eight-term expression is 1e-6, text formats with four decimals lose 1e-4.
-const UNIT_TOLERANCE: f32 = 1e-3;
+pub(crate) const UNIT_TOLERANCE: f32 = 1e-3;
 
 impl SequenceHeader {
     /// Checks counts, index ranges, finiteness and order of the layers.

@@ -3,13 +3,15 @@
 //! Only what a source really tells is taken over; what had to be estimated or
 //! assumed is written into the sequence's warnings.
 
-#[cfg(feature = "npz")]
 mod array;
-#[cfg(feature = "npz")]
+pub mod d_layers;
 mod density;
 #[cfg(feature = "npz")]
 mod npz;
+mod pickle;
+pub mod smpl;
 
+pub use d_layers::DLayers;
 #[cfg(feature = "npz")]
 pub use npz::{METRES_PER_UV, import_npz};
 

@@ -38,6 +38,7 @@
 //! | know the fields | [`sequence`], [`registry`] |
 //! | keep sequences as a data set with splits | [`splits::DatasetIndex`] |
 //! | take a garment from or to OBJ | [`obj`] |
+//! | import D-LAYERS, with SMPL bodies | [`import::d_layers`], [`import::smpl`] |
 //! | import Blender cloth exports | [`import`] (feature `npz`), program `drape-import` (feature `cli`) |
 //! | cut garments into patches | [`patches`] |
 //! | normalise, and draw training samples | [`statistics`], [`sample`] |
