@@ -39,7 +39,8 @@
 //! | keep sequences as a data set with splits | [`splits::DatasetIndex`] |
 //! | take a garment from or to OBJ | [`obj`] |
 //! | import D-LAYERS, with SMPL bodies | [`import::d_layers`], [`import::smpl`] |
-//! | import Blender cloth exports | [`import`] (feature `npz`), program `drape-import` (feature `cli`) |
+//! | import Blender cloth exports | [`import`] (feature `npz`), program `drape-import` (feature `cli`) for both |
+//! | count intersections of a frame | [`intersections`] |
 //! | cut garments into patches | [`patches`] |
 //! | normalise, and draw training samples | [`statistics`], [`sample`] |
 //!
@@ -50,6 +51,7 @@ mod check;
 mod error;
 pub mod file;
 pub mod import;
+pub mod intersections;
 pub mod obj;
 pub mod panels;
 pub mod patches;
