@@ -47,6 +47,9 @@ enum Command {
     /// Turn files of other programs into sequence files
     #[command(disable_help_flag = true)]
     Import(Passed),
+    /// Measure how fast LayersNet predicts and trains on this machine
+    #[command(disable_help_flag = true)]
+    Bench(Passed),
     /// Run all checks, cheapest first; stops at the first that fails
     Ci,
 }
@@ -76,6 +79,7 @@ fn main() -> ExitCode {
         Command::Rollout(passed) => program::run(Program::Rollout, &passed.args),
         Command::Inspect(passed) => program::run(Program::Inspect, &passed.args),
         Command::Import(passed) => program::run(Program::Import, &passed.args),
+        Command::Bench(passed) => program::run(Program::Bench, &passed.args),
         Command::Ci => ci::run(),
     };
     result.unwrap_or_else(|error| {

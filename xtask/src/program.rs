@@ -25,6 +25,8 @@ pub enum Program {
     Inspect,
     /// Converts files of other programs.
     Import,
+    /// Measures speed.
+    Bench,
 }
 
 impl Program {
@@ -37,6 +39,7 @@ impl Program {
             Program::Rollout => ("drape-eval", "drape-rollout"),
             Program::Inspect => ("drape-view", "drape-inspect"),
             Program::Import => ("drape-dataset", "drape-import"),
+            Program::Bench => ("drape-train", "drape-bench"),
         }
     }
 
@@ -80,6 +83,13 @@ impl Program {
                 "cargo xtask import FORMAT …: use sequences that another program simulated.\n\n\
                  Reads their files, checks them and writes sequence files for train, eval and rollout.\n\n\
                  All options go to drape-import:\n"
+            }
+            Program::Bench => {
+                "cargo xtask bench: how fast is LayersNet on this machine?\n\n\
+                 Times one frame of inference and one training step on outfits of known sizes, beside the\n\
+                 published program's times, and how time grows with the outfit. Leave the machine alone\n\
+                 meanwhile; a product much above the printed reference means that it was not.\n\n\
+                 All options go to drape-bench:\n"
             }
         }
     }

@@ -10,15 +10,14 @@
 
 use std::{ops::ControlFlow, time::Instant};
 
-use drape_dataset::sequence::Frame;
+use drape_dataset::{intersections::count_intersections, sequence::Frame};
 use drape_sim::{
     SimError,
     scene::{Recipe, simulate},
 };
 
 use crate::{
-    EvalError, contest::add_note, intersections::count_intersections, metrics::score_frame,
-    table::Row, tally::Tally, task::Task,
+    EvalError, contest::add_note, metrics::score_frame, table::Row, tally::Tally, task::Task,
 };
 
 /// Substeps of the compared runs, in quarters of the recipe's.

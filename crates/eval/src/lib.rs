@@ -14,7 +14,7 @@ pub mod error;
 #[cfg(test)]
 mod example;
 pub mod floors;
-pub mod intersections;
+
 pub mod layersnet;
 pub mod method;
 pub mod metrics;

@@ -7,6 +7,8 @@
 //! Shapes: P patches, A attribute rows, G body tokens (vertices, wind, gravity),
 //! N vertices, width 128.
 
+use std::time::Instant;
+
 use candle_core::{DType, Device, Tensor};
 use drape_dataset::sample::{Outfit, StatePair, Step};
 use drape_dataset::statistics::ColumnStatistics;
@@ -134,6 +136,21 @@ pub struct Prediction {
     pub blocks: Vec<Tensor>,
     /// The structure it was computed on.
     pub graph: FrameGraph,
+    /// Where the time went.
+    pub seconds: ForwardSeconds,
+}
+
+/// Seconds of the parts of a forward pass.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ForwardSeconds {
+    /// Neighbours, normals, frames: [`FrameGraph`].
+    pub graph: f64,
+    /// Encoders, receivers and senders.
+    pub encoders: f64,
+    /// Transformer blocks.
+    pub blocks: f64,
+    /// Decoder and integration.
+    pub decoder: f64,
 }
 
 impl LayersNet {
@@ -231,7 +248,14 @@ impl LayersNet {
         state: &[StatePair],
         step: &Step,
     ) -> Result<Prediction> {
+        let mut clock = Instant::now();
+        let mut lap = || {
+            let now = Instant::now();
+            (now - std::mem::replace(&mut clock, now)).as_secs_f64()
+        };
+        let mut seconds = ForwardSeconds::default();
         let graph = FrameGraph::new(&self.config, outfit, state, step)?;
+        seconds.graph = lap();
         let patches = outfit.patches.count();
 
         // Encoders. Patches and body vertices share one; both are rows of one product.
@@ -263,8 +287,13 @@ impl LayersNet {
                 .apply(&self.receiver.apply(&patch_tokens)?)?,
             sender: self.sender_norm.apply(&senders)?,
         };
+        seconds.encoders = lap();
         let blocks = self.blocks.patches(&tokens, &graph.edges)?;
-        self.decode(statistics, state, &encoded, graph, blocks)
+        seconds.blocks = lap();
+        let mut prediction = self.decode(statistics, state, &encoded, graph, blocks)?;
+        seconds.decoder = lap();
+        prediction.seconds = seconds;
+        Ok(prediction)
     }
 
     /// Decoder and integration, for patches and for vertices.
@@ -378,6 +407,7 @@ impl LayersNet {
             patch_acceleration,
             blocks,
             graph,
+            seconds: ForwardSeconds::default(),
         })
     }
 }

@@ -20,5 +20,5 @@ pub use config::{
 };
 pub use error::{ModelError, Result};
 pub use graph::{Anchor, FrameGraph, Slot, patch_means};
-pub use layersnet::{LayersNet, Prediction};
+pub use layersnet::{ForwardSeconds, LayersNet, Prediction};
 pub use parameters::Parameters;

@@ -32,7 +32,7 @@ use crate::error::Result;
 use crate::frames::{Matrix, rotate};
 use crate::graph::{Anchor, FrameGraph};
 use crate::kernels::attention::{Edges, GROUPS, HEAD, WIDTH};
-use crate::layersnet::Prediction;
+use crate::layersnet::{ForwardSeconds, Prediction};
 use crate::parameters::{DECODER_WIDTH, Parameters, group_rotation_name, rotation_name};
 
 /// The published program's EPS.
@@ -137,6 +137,7 @@ pub fn forward(
         patch_acceleration,
         blocks,
         graph,
+        seconds: ForwardSeconds::default(),
     })
 }
 

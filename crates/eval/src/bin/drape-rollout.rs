@@ -15,11 +15,11 @@ use anyhow::{Context, Result, bail};
 use clap::Parser;
 use drape_dataset::{
     SequenceReader, SequenceWriter,
+    intersections::count_intersections,
     sequence::{Frame, Intersections, SequenceHeader},
 };
 use drape_eval::{
     EvalError,
-    intersections::count_intersections,
     layersnet::LayersNetMethod,
     method::{Rollout, roll_out},
     task::{Clip, Task},

@@ -9,6 +9,16 @@ const STEP: f64 = 1e-6;
 
 /// Compares the gradient of `Σ cotangent · f(inputs)` by every entry of every input.
 pub fn check(inputs: &[Tensor], f: impl Fn(&[Tensor]) -> Result<Tensor>, bar: f64) {
+    check_every(&vec![1; inputs.len()], inputs, f, bar);
+}
+
+/// [`check`] for one entry in so many of each input.
+pub fn check_every(
+    strides: &[usize],
+    inputs: &[Tensor],
+    f: impl Fn(&[Tensor]) -> Result<Tensor>,
+    bar: f64,
+) {
     let variables: Vec<Var> = inputs
         .iter()
         .map(|x| Var::from_tensor(x).unwrap())
@@ -28,7 +38,7 @@ pub fn check(inputs: &[Tensor], f: impl Fn(&[Tensor]) -> Result<Tensor>, bar: f6
             .iter()
             .fold(1f64, |top, value| top.max(value.abs()));
         let values = flat(&inputs[which]);
-        for (entry, found) in gradient.iter().enumerate() {
+        for (entry, found) in gradient.iter().enumerate().step_by(strides[which]) {
             let at = |shift: f64| -> f64 {
                 let mut moved = values.clone();
                 moved[entry] += shift;

@@ -4,6 +4,7 @@
 //! The attention's dense reference lives in the package `drape-tests`.
 
 mod attention;
+mod blocks;
 mod decoder;
 mod finite_differences;
 mod layer_norm;

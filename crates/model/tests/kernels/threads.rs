@@ -6,6 +6,9 @@ use std::sync::Arc;
 use candle_core::{DType, Tensor, Var};
 use drape_dataset::patches::Csr;
 use drape_model::kernels::attention::{Edges, GROUP_PARAMETERS, GROUPS, WIDTH, attend};
+use drape_model::kernels::blocks::{BLOCK_PARAMETERS, Ends, Stack, apply};
+use drape_model::kernels::decoder::{Segments, decode};
+use drape_model::kernels::layer_norm::layer_norm;
 use drape_model::kernels::linear::{Activation, linear};
 use rayon::prelude::*;
 
@@ -13,7 +16,8 @@ use crate::{bits, random};
 
 const RECEIVERS: usize = 150;
 
-/// Bits of outputs and gradients of a linear layer of 600 rows and an attention of 150 receivers.
+/// Bits of outputs and gradients of a linear layer and a layer norm of 600 rows, an attention of 150
+/// receivers, two blocks on the same edges, and a decoder of 600 rows.
 fn work() -> Vec<u32> {
     let f32s =
         |name: &str, shape: (usize, usize)| random(name, shape).to_dtype(DType::F32).unwrap();
@@ -42,14 +46,47 @@ fn work() -> Vec<u32> {
     let parameters = random("parameters", GROUPS * GROUP_PARAMETERS)
         .to_dtype(DType::F32)
         .unwrap();
-    let out = attend(&tokens, &parameters, Arc::new(edges), true).unwrap();
+    let edges = Arc::new(edges);
+    let out = attend(&tokens, &parameters, edges.clone(), true).unwrap();
     let gradients = out.sqr().unwrap().sum_all().unwrap().backward().unwrap();
-    [
+    let mut all = [
         bits(&tokens),
         bits(&out),
         bits(gradients.get(&weight).unwrap()),
     ]
-    .concat()
+    .concat();
+    let mut trace = |name: &str, shape: usize, f: &dyn Fn(&Tensor) -> Tensor| {
+        let weights = (random(name, shape) * 0.2).unwrap();
+        let weights = Var::from_tensor(&weights.to_dtype(DType::F32).unwrap()).unwrap();
+        let out = f(&weights);
+        let gradients = out.sqr().unwrap().sum_all().unwrap().backward().unwrap();
+        all.extend(bits(&out));
+        all.extend(bits(gradients.get(&weights).unwrap()));
+    };
+    trace("norm", WIDTH, &|weight| {
+        layer_norm(&tokens, weight, &bias).unwrap()
+    });
+    trace("blocks", 2 * BLOCK_PARAMETERS, &|weights| {
+        let x = f32s("block tokens", (2 * 300 + RECEIVERS, WIDTH));
+        let stack = Stack {
+            edges: edges.clone(),
+            blocks: 2,
+            own_slots: true,
+            ends: Ends::Patches,
+            keep: true,
+            transposes: Arc::default(),
+        };
+        apply(&x, weights, stack).unwrap()
+    });
+    trace("decoder", 40 * 41, &|second| {
+        let first = f32s("first", (1, 40 * (WIDTH + 1))).flatten_all().unwrap();
+        let segments = Segments {
+            offsets: (0..=200).map(|s| 3 * s).collect(),
+            means: 150,
+        };
+        decode(&tokens, &first, second, segments, true).unwrap()
+    });
+    all
 }
 
 #[test]

@@ -7,7 +7,7 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use candle_core::{Device, Tensor};
 use drape_dataset::sample::{FrameStates, Step, gravity_per_frame};
-use drape_model::{FrameGraph, LayersNet, ModelConfig, Parameters};
+use drape_model::{ForwardSeconds, FrameGraph, LayersNet, ModelConfig, Parameters};
 use drape_train::adam::Adam;
 use drape_train::losses::LossConfig;
 use drape_train::losses::orthogonality::orthogonality;
@@ -46,7 +46,7 @@ pub struct CaseResult {
     pub distinct_body_entries: f64,
     /// Body vertices that some patch sees.
     pub distinct_body_vertices: usize,
-    /// Medians of parts, in ms; parts of inference first.
+    /// Medians of parts, in ms.
     pub stages: BTreeMap<String, f64>,
 }
 
@@ -57,6 +57,37 @@ fn median(mut values: Vec<f64>) -> f64 {
         values[middle]
     } else {
         (values[middle - 1] + values[middle]) / 2.0
+    }
+}
+
+/// Times of parts, in seconds, run by run.
+#[derive(Default)]
+struct Stages(BTreeMap<String, Vec<f64>>);
+
+impl Stages {
+    fn add(&mut self, name: &str, seconds: f64) {
+        self.0.entry(name.into()).or_default().push(seconds);
+    }
+
+    fn forward(&mut self, of: &str, seconds: &ForwardSeconds) {
+        let ForwardSeconds {
+            graph,
+            encoders,
+            blocks,
+            decoder,
+        } = *seconds;
+        self.add(&format!("{of}: neighbours, normals, frames"), graph);
+        self.add(&format!("{of}: encoders"), encoders);
+        self.add(&format!("{of}: blocks"), blocks);
+        self.add(&format!("{of}: decoder"), decoder);
+    }
+
+    /// Milliseconds; the first runs warm up.
+    fn medians(self) -> BTreeMap<String, f64> {
+        let medians = self.0.into_iter();
+        medians
+            .map(|(name, seconds)| (name, 1e3 * median(seconds[WARM_UP..].to_vec())))
+            .collect()
     }
 }
 
@@ -105,7 +136,6 @@ pub fn measure(shape: &Shape, runs: usize) -> Result<CaseResult> {
     let (sample, statistics) = (&case.sample, &case.statistics);
     let outfit = &sample.outfit;
     let columns = &statistics.vertices;
-    let mut stages = BTreeMap::new();
 
     let gravity = gravity_per_frame(&case.header);
     let [older, now, next] = &case.frames;
@@ -116,31 +146,23 @@ pub fn measure(shape: &Shape, runs: usize) -> Result<CaseResult> {
         let next = FrameStates::new(next, Some(now), Some(older));
         Step::new(&next, &now_states, statistics, gravity)
     };
+    let mut stages = Stages::default();
     let inference_ms = time(runs, || {
+        let start = Instant::now();
         let step = drive();
+        stages.add(
+            "inference: body states, forces",
+            start.elapsed().as_secs_f64(),
+        );
         let prediction = net.forward(outfit, columns, &sample.state, &step)?;
+        stages.forward("inference", &prediction.seconds);
         black_box(advance(
             &sample.state,
             &prediction.acceleration.flatten_all()?.to_vec1()?,
         ));
         Ok(())
     })?;
-    stages.insert(
-        "body states and forces".into(),
-        time(runs, || {
-            black_box(drive());
-            Ok(())
-        })?,
-    );
-    let step = &sample.steps[0];
-    let graph = FrameGraph::new(&config, outfit, &sample.state, step)?;
-    stages.insert(
-        "neighbours, normals, frames".into(),
-        time(runs, || {
-            black_box(FrameGraph::new(&config, outfit, &sample.state, step)?);
-            Ok(())
-        })?,
-    );
+    let graph = FrameGraph::new(&config, outfit, &sample.state, &sample.steps[0])?;
     let inference_peak_mib = peak_mib()?;
 
     let losses = LossConfig::released();
@@ -156,6 +178,10 @@ pub fn measure(shape: &Shape, runs: usize) -> Result<CaseResult> {
             &sample.state,
             true,
         )?;
+        stages.forward("training", &result.prediction.seconds);
+        stages.add("training: losses", result.seconds[0]);
+        stages.add("training: backward", result.seconds[1]);
+        let start = Instant::now();
         for (name, gradient) in orthogonality(&config, &parameters)?.gradients {
             if let Some(sum) = result.gradients.get_mut(&name) {
                 sum.iter_mut()
@@ -165,6 +191,7 @@ pub fn measure(shape: &Shape, runs: usize) -> Result<CaseResult> {
         }
         // A rate at which the weights stay what they are.
         adam.update(&parameters, &result.gradients, 1e-12)?;
+        stages.add("training: regulariser, Adam", start.elapsed().as_secs_f64());
         Ok(())
     })?;
 
@@ -190,6 +217,6 @@ pub fn measure(shape: &Shape, runs: usize) -> Result<CaseResult> {
         body_entries: repeats / patches as f64 - 2.0,
         distinct_body_entries: per_patch(graph.edges.body.items.len()) - 2.0,
         distinct_body_vertices: graph.body_tokens,
-        stages,
+        stages: stages.medians(),
     })
 }
