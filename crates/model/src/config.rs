@@ -30,6 +30,11 @@ pub struct ModelConfig {
     /// Whether patches beyond the body's reach still get its nearest vertex in
     /// the decoder. Released true, default false.
     pub distant_patch_body: bool,
+    /// Reach in units within which a patch's own rows of the decoder hold its state relative to the
+    /// nearest body vertex, as a vertex's rows hold its state relative to the patch; it fades to
+    /// nothing at the reach. With it the model sees how cloth moves along the skin. Released 0
+    /// (the rows hold zeros), default 3.
+    pub patch_sight: f32,
     /// How a normal is completed to a frame. Released `fixed-x`, default `smallest-component`.
     pub frame_axis: FrameAxis,
     /// Gravity used to make samples. Released `released`, default `scene`.
@@ -108,6 +113,7 @@ impl Default for ModelConfig {
             force_frames: ForceFrames::NewerUnit,
             output_scale: OutputScale::Acceleration,
             distant_patch_body: false,
+            patch_sight: 3.0,
             frame_axis: FrameAxis::SmallestComponent,
             gravity: GravitySource::Scene,
         }
@@ -126,6 +132,7 @@ impl ModelConfig {
             force_frames: ForceFrames::Older,
             output_scale: OutputScale::Velocity,
             distant_patch_body: true,
+            patch_sight: 0.0,
             frame_axis: FrameAxis::FixedX,
             gravity: GravitySource::Released,
         }
@@ -153,6 +160,10 @@ impl ModelConfig {
             if !(radius.is_finite() && radius > 0.0) {
                 return fail(field, radius.to_string(), "a positive length in units");
             }
+        }
+        if !(self.patch_sight.is_finite() && self.patch_sight >= 0.0) {
+            let found = self.patch_sight.to_string();
+            return fail("patch_sight", found, "a length in units, or 0 for none");
         }
         Ok(())
     }

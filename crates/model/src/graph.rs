@@ -19,7 +19,7 @@ use drape_geometry::normals::vertex_normals;
 
 use crate::config::{BodySlots, ForceFrames, ModelConfig};
 use crate::error::{ModelError, Result};
-use crate::frames::{IDENTITY, Matrix, frame, unit};
+use crate::frames::{IDENTITY, Matrix, frame, rotate, unit};
 use crate::kernels::attention::Edges;
 
 /// Body vertices a patch sees at most.
@@ -35,6 +35,9 @@ pub struct Anchor {
     pub row: Option<u32>,
     /// Frame of the body's normal, identity out of reach.
     pub frame: Matrix,
+    /// Of patches: the nearest body vertex within the configuration's `patch_sight`, and how much
+    /// of the state relative to it counts.
+    pub sight: Option<(u32, f32)>,
 }
 
 /// One (vertex, patch) pair of the decoder.
@@ -119,6 +122,35 @@ fn body_slots(config: &ModelConfig, centres: &[[f32; 3]], grid: &Grid) -> Vec<Ve
         .collect()
 }
 
+/// Smallest and largest coordinates.
+fn bounds(points: &[[f32; 3]]) -> [[f32; 3]; 2] {
+    let start = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
+    points.iter().fold(start, |[low, high], p| {
+        [
+            [0, 1, 2].map(|axis| low[axis].min(p[axis])),
+            [0, 1, 2].map(|axis| high[axis].max(p[axis])),
+        ]
+    })
+}
+
+/// The nearest body vertex nearer than `sight`, and how much of the state relative to it counts.
+fn see(
+    grid: &Grid,
+    body: &[[f32; 3]],
+    [low, high]: &[[f32; 3]; 2],
+    centre: [f32; 3],
+    sight: f32,
+) -> Option<(u32, f32)> {
+    // A body that is nowhere near is not searched for.
+    let inside = [0, 1, 2].map(|axis| centre[axis].clamp(low[axis], high[axis]));
+    if distance(inside, centre) >= sight {
+        return None;
+    }
+    let (vertex, _) = grid.nearest(centre)?;
+    let far = distance(centre, body[vertex as usize]) / sight;
+    (far < 1.0).then(|| (vertex, (1.0 - far * far).powi(2)))
+}
+
 fn csr_of(rows: &[Vec<u32>]) -> Csr {
     let mut offsets = vec![0u32];
     for row in rows {
@@ -175,6 +207,7 @@ impl FrameGraph {
         let mut body_rows: Vec<u32> = Vec::new();
         let mut slots_of_patch: Vec<Vec<(u32, u32)>> = vec![Vec::new(); patches.count()];
         let mut patch_nearest: Vec<Option<(u32, bool)>> = vec![None; patches.count()];
+        let mut patch_sight: Vec<Option<(u32, f32)>> = vec![None; patches.count()];
         let mut vertex_nearest: Vec<Option<u32>> = vec![None; state.len()];
         let mut body_frames: Vec<Matrix> = Vec::new();
         let mut token_rotations: Vec<Matrix> = Vec::new();
@@ -211,6 +244,12 @@ impl FrameGraph {
                     None => None,
                 };
             }
+            if config.patch_sight > 0.0 {
+                let bounds = bounds(&body);
+                for (sight, &centre) in patch_sight.iter_mut().zip(&centres) {
+                    *sight = see(&grid, &body, &bounds, centre, config.patch_sight);
+                }
+            }
             for (nearest, state) in vertex_nearest.iter_mut().zip(state) {
                 *nearest = reach(position(state), &mut found);
             }
@@ -232,16 +271,19 @@ impl FrameGraph {
                 Some(vertex) => Anchor {
                     row: Some(row_of[vertex as usize]),
                     frame: body_frames[vertex as usize],
+                    sight: None,
                 },
                 None => Anchor {
                     row: None,
                     frame: IDENTITY,
+                    sight: None,
                 },
             })
             .collect();
         let patch_anchors = patch_nearest
             .iter()
-            .map(|nearest| match *nearest {
+            .zip(patch_sight)
+            .map(|(nearest, sight)| match *nearest {
                 Some((vertex, within)) => Anchor {
                     row: Some(row_of[vertex as usize]),
                     frame: if within {
@@ -249,10 +291,12 @@ impl FrameGraph {
                     } else {
                         IDENTITY
                     },
+                    sight,
                 },
                 None => Anchor {
                     row: None,
                     frame: IDENTITY,
+                    sight,
                 },
             })
             .collect();
@@ -293,6 +337,32 @@ impl FrameGraph {
             own_patch,
         })
     }
+}
+
+impl FrameGraph {
+    /// State of a patch relative to its nearest body vertex, in the anchor's frame, fading with
+    /// the distance d as `(1 − d²/s²)²`, s the configuration's `patch_sight`; zeros beyond.
+    pub fn patch_on_body(&self, patch: usize, step: &Step) -> StatePair {
+        let anchor = &self.patch_anchors[patch];
+        let Some((vertex, share)) = anchor.sight else {
+            return [0.0; 12];
+        };
+        let (state, body) = (&self.patch_states[patch], &step.body[vertex as usize]);
+        turned(
+            &std::array::from_fn(|i| share * (state[i] - body[i])),
+            anchor,
+        )
+    }
+}
+
+/// The four 3-vectors of a relative state in the anchor's frame.
+pub(crate) fn turned(state: &StatePair, anchor: &Anchor) -> StatePair {
+    let mut out = [0f32; 12];
+    for block in 0..4 {
+        let v = [state[3 * block], state[3 * block + 1], state[3 * block + 2]];
+        out[3 * block..3 * block + 3].copy_from_slice(&rotate(&anchor.frame, v));
+    }
+    out
 }
 
 fn decoder_slots(

@@ -16,8 +16,8 @@ use drape_dataset::statistics::ColumnStatistics;
 use crate::block::{Blocks, Tokens};
 use crate::config::{ModelConfig, OutputScale};
 use crate::error::Result;
-use crate::frames::{rotate, transposed};
-use crate::graph::{Anchor, FrameGraph};
+use crate::frames::transposed;
+use crate::graph::{Anchor, FrameGraph, turned};
 use crate::kernels::decoder::{Segments, decode};
 use crate::kernels::layer_norm::layer_norm;
 use crate::kernels::linear::{Activation, linear};
@@ -290,7 +290,7 @@ impl LayersNet {
         seconds.encoders = lap();
         let blocks = self.blocks.patches(&tokens, &graph.edges)?;
         seconds.blocks = lap();
-        let mut prediction = self.decode(statistics, state, &encoded, graph, blocks)?;
+        let mut prediction = self.decode(statistics, state, step, &encoded, graph, blocks)?;
         seconds.decoder = lap();
         prediction.seconds = seconds;
         Ok(prediction)
@@ -301,6 +301,7 @@ impl LayersNet {
         &self,
         statistics: &ColumnStatistics,
         state: &[StatePair],
+        step: &Step,
         encoded: &Tensor,
         graph: FrameGraph,
         blocks: Vec<Tensor>,
@@ -312,7 +313,7 @@ impl LayersNet {
         let patch_numbers = crate::kernels::linear::product(embedding, &self.rotation)?;
         let (mut relative, mut from_patch, mut from_body) = (Vec::new(), Vec::new(), Vec::new());
         let mut push = |relative_state: StatePair, patch: u32, anchor: &Anchor| {
-            relative.push(turned(&relative_state, anchor));
+            relative.push(relative_state);
             from_patch.push(RowMap {
                 index: patch,
                 matrix: anchor.frame,
@@ -336,14 +337,12 @@ impl LayersNet {
                 &state[slot.vertex as usize],
                 &graph.patch_states[slot.patch as usize],
             );
-            push(
-                std::array::from_fn(|i| state[i] - patch[i]),
-                slot.patch,
-                &graph.vertex_anchors[slot.vertex as usize],
-            );
+            let anchor = &graph.vertex_anchors[slot.vertex as usize];
+            let relative = std::array::from_fn(|i| state[i] - patch[i]);
+            push(turned(&relative, anchor), slot.patch, anchor);
         }
         for (patch, anchor) in graph.patch_anchors.iter().enumerate() {
-            push([0.0; 12], patch as u32, anchor);
+            push(graph.patch_on_body(patch, step), patch as u32, anchor);
         }
         let body_part = if graph.body_rows.is_empty() {
             Tensor::zeros((pairs + patches, 3), self.dtype, &Device::Cpu)?
@@ -410,14 +409,4 @@ impl LayersNet {
             seconds: ForwardSeconds::default(),
         })
     }
-}
-
-/// The four 3-vectors of a relative state in the anchor's frame.
-fn turned(state: &StatePair, anchor: &Anchor) -> StatePair {
-    let mut out = [0f32; 12];
-    for block in 0..4 {
-        let v = [state[3 * block], state[3 * block + 1], state[3 * block + 2]];
-        out[3 * block..3 * block + 3].copy_from_slice(&rotate(&anchor.frame, v));
-    }
-    out
 }

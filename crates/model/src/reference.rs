@@ -29,8 +29,8 @@ use drape_dataset::statistics::ColumnStatistics;
 
 use crate::config::{BodyMessages, ModelConfig, OutputScale};
 use crate::error::Result;
-use crate::frames::{Matrix, rotate};
-use crate::graph::{Anchor, FrameGraph};
+use crate::frames::Matrix;
+use crate::graph::{FrameGraph, turned};
 use crate::kernels::attention::{Edges, GROUPS, HEAD, WIDTH};
 use crate::layersnet::{ForwardSeconds, Prediction};
 use crate::parameters::{DECODER_WIDTH, Parameters, group_rotation_name, rotation_name};
@@ -116,7 +116,13 @@ pub fn forward(
     }
 
     let embedding = blocks.last().expect("at least one block");
-    let features = decoder_features(&weights, &graph, state, embedding, body_rows.as_ref())?;
+    let features = decoder_features(
+        &weights,
+        &graph,
+        (state, step),
+        embedding,
+        body_rows.as_ref(),
+    )?;
     let local = decode(&weights, &graph, &features)?;
     let columns = match config.output_scale {
         OutputScale::Velocity => 3,
@@ -507,7 +513,7 @@ fn turn_back(rotations: &Tensor, x: &Tensor) -> Result<Tensor> {
 fn decoder_features(
     weights: &Weights,
     graph: &FrameGraph,
-    state: &[StatePair],
+    (state, step): (&[StatePair], &Step),
     embedding: &Tensor,
     body_rows: Option<&Tensor>,
 ) -> Result<Tensor> {
@@ -522,7 +528,7 @@ fn decoder_features(
         anchors.push(anchor);
     }
     for (patch, anchor) in graph.patch_anchors.iter().enumerate() {
-        relative.push([0.0; 12]);
+        relative.push(graph.patch_on_body(patch, step));
         patch_of_row.push(patch as u32);
         anchors.push(anchor);
     }
@@ -585,13 +591,4 @@ fn decode(weights: &Weights, graph: &FrameGraph, features: &Tensor) -> Result<Te
         .affine(&layer("2"), &mean)?
         .broadcast_mul(&weights.constant(&taken)?)?;
     Ok(Tensor::cat(&[&of_vertices, &of_patches], 0)?)
-}
-
-/// The four 3-vectors of a relative state in the anchor's frame.
-fn turned(state: &StatePair, anchor: &Anchor) -> StatePair {
-    let mut out = [0f32; 12];
-    for (out, v) in out.chunks_exact_mut(3).zip(state.chunks_exact(3)) {
-        out.copy_from_slice(&rotate(&anchor.frame, [v[0], v[1], v[2]]));
-    }
-    out
 }

@@ -76,6 +76,9 @@ pub struct LossConfig {
     /// Frames in which a state that strayed shall return to the reference, see
     /// [`returning`]. Default 5; 1, at once, is the published program's.
     pub return_frames: f64,
+    /// How much less a garment counts the farther it strayed, see [`stray_factors`]. Default 5;
+    /// 0, all count alike, is the published program's.
+    pub stray_discount: f64,
     /// How collisions are found and averaged.
     pub collision: CollisionConfig,
 }
@@ -90,6 +93,7 @@ impl Default for LossConfig {
             layer_collision: 0.1,
             orthogonality: 1.0,
             return_frames: 5.0,
+            stray_discount: 5.0,
             collision: CollisionConfig::default(),
         }
     }
@@ -101,6 +105,7 @@ impl LossConfig {
         Self {
             body_collision: 1.3,
             return_frames: 1.0,
+            stray_discount: 0.0,
             collision: CollisionConfig {
                 threshold: 1e-3,
                 reach: None,
@@ -254,6 +259,29 @@ pub fn returning(
         }
     }
     target
+}
+
+/// What each garment's gradient is multiplied with: `a²/(a² + discount · h)`.
+///
+/// a² is the mean squared acceleration of the training set, h the garment's position loss if it
+/// were predicted no acceleration (`held`, positions x + v). After steps without gradient, h is mostly the
+/// error of those steps, little of which the state tells: with equal weights this noise drowns
+/// what can be learnt, and Adam's second moment keeps the rate down after.
+pub fn stray_factors(
+    discount: f64,
+    squared_acceleration: f64,
+    outfit: &Outfit,
+    held: &[Vector],
+    truth: &[Vector],
+) -> Vec<f64> {
+    let garments = outfit.garment_offsets.windows(2);
+    garments
+        .map(|ends| {
+            let range = ends[0]..ends[1];
+            let h = squared_error(&held[range.clone()], &truth[range]).value;
+            squared_acceleration / (squared_acceleration + discount * h)
+        })
+        .collect()
 }
 
 /// Positions after a step: x + v + a, in f64.

@@ -5,6 +5,8 @@
 //! reference up to step u and the model's own prediction after it. A prediction
 //! that would be replaced by the reference is not computed.
 
+use std::time::Instant;
+
 use drape_dataset::sample::{Sample, State, StatePair, pair};
 use drape_dataset::statistics::ColumnStatistics;
 use drape_model::parameters::is_idle;
@@ -12,7 +14,9 @@ use drape_model::{LayersNet, Parameters, Prediction};
 
 use crate::adam::Gradients;
 use crate::error::Result;
-use crate::losses::{LossConfig, LossValues, all_terms, integrate, returning, squared_error};
+use crate::losses::{
+    LossConfig, LossValues, all_terms, integrate, returning, squared_error, stray_factors,
+};
 
 /// Predicted states `[pos, vel]` of a step, and the accelerations `[vertex · 3]`.
 pub fn advance(states: &[StatePair], accelerations: &[f32]) -> Vec<State> {
@@ -59,6 +63,8 @@ pub struct SampleGradient {
     pub gradients: Gradients,
     /// What the network predicted.
     pub prediction: Prediction,
+    /// Seconds of the losses, and of the backward pass.
+    pub seconds: [f64; 2],
 }
 
 /// Forward, losses and backward from `state` over the sample's last step.
@@ -77,6 +83,7 @@ pub fn sample_gradient(
     let step = sample.steps.last().expect("a sample has a step");
     let reference = sample.reference.last().expect("a sample has a reference");
     let prediction = net.forward(&sample.outfit, statistics, state, step)?;
+    let started = Instant::now();
     let dtype = prediction.acceleration.dtype();
     let values = |tensor: &candle_core::Tensor| -> Result<Vec<f32>> {
         Ok(tensor
@@ -98,8 +105,8 @@ pub fn sample_gradient(
             .collect(),
     };
     let reference = &returning(losses.return_frames, reference, &before, state);
-    let weight = losses.position;
-    let (mut losses, by_vertex, by_patch) = all_terms(
+    let (weight, discount) = (losses.position, losses.stray_discount);
+    let (mut losses, mut by_vertex, mut by_patch) = all_terms(
         losses,
         &sample.outfit,
         step,
@@ -114,6 +121,24 @@ pub fn sample_gradient(
         .collect();
     let held = integrate(state, &vec![0.0; 3 * state.len()]);
     losses.hold = weight * squared_error(&held, &truth).value;
+    if discount > 0.0 {
+        let squared = statistics.std[6..9].iter().map(|s| f64::from(*s).powi(2));
+        let outfit = &sample.outfit;
+        let factors = stray_factors(discount, squared.sum(), outfit, &held, &truth);
+        let starts = &outfit.garment_offsets;
+        let garment_of = |vertex: usize| starts.partition_point(|&start| start <= vertex) - 1;
+        let scale = |gradient: &mut [f64; 3], vertex: usize| {
+            *gradient = gradient.map(|value| value * factors[garment_of(vertex)]);
+        };
+        for (vertex, gradient) in by_vertex.iter_mut().enumerate() {
+            scale(gradient, vertex);
+        }
+        for (members, gradient) in outfit.patches.members.iter().zip(&mut by_patch) {
+            scale(gradient, members[0] as usize);
+        }
+    }
+    let losses_s = started.elapsed().as_secs_f64();
+    let started = Instant::now();
     // The losses' gradients are known, so a linear form with these coefficients
     // carries them into the graph.
     let form = |output: &candle_core::Tensor,
@@ -140,5 +165,6 @@ pub fn sample_gradient(
         losses,
         gradients,
         prediction,
+        seconds: [losses_s, started.elapsed().as_secs_f64()],
     })
 }

@@ -2,12 +2,6 @@
 //!
 //! The samples of a batch run in parallel; their gradients are summed in the
 //! batch's order, so a run's bits do not depend on the number of threads.
-//!
-//! A sample's gradient counts a²/(a² + h), with a² the mean squared acceleration of
-//! the training set and h the sample's loss if it predicted no acceleration. After
-//! steps without gradient, h is mostly the error of those steps, little of which
-//! the state tells: unweighted, this noise drowns what can be learnt, and Adam's
-//! second moment keeps the rate down after.
 
 use std::io::Write;
 use std::path::Path;
@@ -170,14 +164,8 @@ impl Trainer<'_> {
         let share = 1.0 / batch.len() as f64;
         let mut losses = LossValues::default();
         let mut total = Gradients::new();
-        // In the units of the position loss.
-        let typical: f64 = set.statistics.vertices.std[6..9]
-            .iter()
-            .map(|std| f64::from(*std).powi(2))
-            .sum();
         for (part, gradients) in parts {
             losses.add(&part, share);
-            let share = share * typical / (typical + part.hold);
             for (name, gradient) in gradients {
                 let sum = total
                     .entry(name)

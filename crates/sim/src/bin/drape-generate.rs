@@ -78,7 +78,7 @@ impl Default for Config {
         Self {
             seed: 1,
             train_sequences: 36,
-            test_sequences: 8,
+            test_sequences: 16,
             frames: 48,
             attempts: 4,
             scene: SceneRanges::default(),

@@ -81,7 +81,7 @@ impl Default for SceneRanges {
             outfit_vertices: 1650.0,
             pace: [0.5, 0.75],
             calm_share: 0.5,
-            wind_strength: [20.0, 100.0],
+            wind_strength: [50.0, 400.0],
             lead_in: LeadIn { still: 8, ease: 40 },
             body: ShapeRanges::default(),
             material: MaterialRanges::default(),
@@ -208,7 +208,7 @@ impl MaterialRanges {
 fn sample_garment(kind: GarmentKind, rng: &mut ChaCha8Rng) -> GarmentParameters {
     let mut draw = |low: f64, high: f64| between(rng, [low, high]);
     let (ease_m, sleeve, flare) = match kind {
-        GarmentKind::TShirt => (draw(0.015, 0.04), draw(0.4, 0.8), 0.0),
+        GarmentKind::TShirt => (draw(0.02, 0.06), draw(0.4, 0.8), 0.0),
         GarmentKind::Jacket | GarmentKind::JacketHood => (draw(0.025, 0.05), draw(1.3, 1.75), 0.0),
         GarmentKind::Dress => (draw(0.02, 0.04), 0.0, draw(0.1, 0.35)),
         GarmentKind::Skirt => (draw(0.01, 0.03), 0.0, draw(0.1, 0.4)),

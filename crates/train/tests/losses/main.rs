@@ -7,6 +7,7 @@ mod collisions;
 mod gradients;
 mod orthogonality;
 mod returning;
+mod stray;
 mod sway;
 
 use drape_dataset::patches::{Csr, Patches};
