@@ -2,9 +2,10 @@
 //!
 //! candle's stock layer norm and softmax return no gradient, and gathering
 //! attention from stock ops costs ten times the time. Each kernel file states its
-//! formula, works in f32 and f64 (finite differences are checked in f64), and
-//! is serial inside: training runs samples in parallel, inference splits rows
-//! into fixed chunks, so results do not depend on the number of threads.
+//! formula, works in f32 and f64 (finite differences are checked in f64), and cuts its
+//! work into fixed pieces, forward and backward: threads share the pieces where a single
+//! sample is at hand, one thread does them all where training runs samples side by side,
+//! and results do not depend on which. [`crate::reference`] is the network without them.
 
 pub mod attention;
 pub mod blocks;

@@ -1,0 +1,174 @@
+//! The blocks' weights: where each layer is, and products with it.
+
+use std::sync::OnceLock;
+
+use super::super::Real;
+use super::super::attention::{GROUP_PARAMETERS, GROUPS, WIDTH};
+use super::super::layer_norm;
+use super::super::product::{fill_rows, push_transposed, rows_times};
+use super::workshop::Keep;
+
+/// Width of the feed-forward layer.
+pub(super) const HIDDEN: usize = 2 * WIDTH;
+
+/// A layer's place among a block's weights.
+#[derive(Clone, Copy)]
+pub(super) struct Layer {
+    pub(super) start: usize,
+    pub(super) inner: usize,
+    pub(super) out: usize,
+    pub(super) bias: bool,
+}
+
+impl Layer {
+    pub(super) const fn len(self) -> usize {
+        self.inner * self.out + if self.bias { self.out } else { 0 }
+    }
+}
+
+const fn layer(start: usize, inner: usize, out: usize, bias: bool) -> Layer {
+    Layer {
+        start,
+        inner,
+        out,
+        bias,
+    }
+}
+
+const fn end(layer: Layer) -> usize {
+    layer.start + layer.len()
+}
+
+// The order of a block's weights, as [`super::apply`] says.
+pub(super) const RECEIVER: Layer = layer(0, WIDTH, WIDTH, false);
+pub(super) const QUERY: Layer = layer(end(RECEIVER), WIDTH, WIDTH, false);
+pub(super) const SENDER: Layer = layer(end(QUERY), WIDTH, WIDTH, false);
+pub(super) const MEMORY: Layer = layer(end(SENDER), WIDTH, WIDTH, false);
+pub(super) const GROUPS_START: usize = end(MEMORY);
+pub(super) const OUTPUT: Layer =
+    layer(GROUPS_START + GROUPS * GROUP_PARAMETERS, WIDTH, WIDTH, true);
+pub(super) const RECEIVER_OUT: Layer = layer(end(OUTPUT), WIDTH, WIDTH, true);
+pub(super) const SENDER_OUT: Layer = layer(end(RECEIVER_OUT), WIDTH, WIDTH, true);
+pub(super) const FEED: [Layer; 2] = [
+    layer(end(SENDER_OUT), WIDTH, HIDDEN, true),
+    layer(end(SENDER_OUT) + (WIDTH + 1) * HIDDEN, HIDDEN, WIDTH, true),
+];
+pub(super) const NORMS_START: usize = end(FEED[1]);
+pub(super) const NORMS: usize = 4;
+/// Numbers of one block.
+pub const BLOCK_PARAMETERS: usize = NORMS_START + NORMS * 2 * WIDTH;
+
+/// Which layer a place belongs to.
+#[derive(Clone, Copy)]
+pub(super) enum Which {
+    Receiver,
+    Query,
+    Sender,
+    Memory,
+    Output,
+    ReceiverOut,
+    SenderOut,
+    Hidden,
+    Fed,
+}
+
+/// All layers, in the weights' order.
+pub(super) const LAYERS: [(Which, Layer); 9] = [
+    (Which::Receiver, RECEIVER),
+    (Which::Query, QUERY),
+    (Which::Sender, SENDER),
+    (Which::Memory, MEMORY),
+    (Which::Output, OUTPUT),
+    (Which::ReceiverOut, RECEIVER_OUT),
+    (Which::SenderOut, SENDER_OUT),
+    (Which::Hidden, FEED[0]),
+    (Which::Fed, FEED[1]),
+];
+
+/// Transposes of the blocks' weights, made once for as many calls as share them.
+#[derive(Debug, Default)]
+pub struct Transposes {
+    pub(super) f32s: OnceLock<Vec<f32>>,
+    pub(super) f64s: OnceLock<Vec<f64>>,
+}
+
+/// One block's weights with their transposes at the same places.
+pub(super) struct Weights<'a, T> {
+    pub(super) all: &'a [T],
+    pub(super) transposed: &'a [T],
+}
+
+impl<'a, T: Keep> Weights<'a, T> {
+    /// Weights of all blocks, transposed now if nobody did yet.
+    pub(super) fn all(parameters: &'a [T], transposes: &'a Transposes) -> Vec<Self> {
+        let transposed = T::transposes(transposes).get_or_init(|| {
+            let mut transposed = Vec::with_capacity(parameters.len());
+            for (index, all) in parameters.chunks_exact(BLOCK_PARAMETERS).enumerate() {
+                for (_, layer) in LAYERS {
+                    transposed.resize(index * BLOCK_PARAMETERS + layer.start, T::zero());
+                    let weight = &all[layer.start..][..layer.inner * layer.out];
+                    push_transposed(weight, layer.inner, &mut transposed);
+                }
+            }
+            transposed.resize(parameters.len(), T::zero());
+            transposed
+        });
+        parameters
+            .chunks_exact(BLOCK_PARAMETERS)
+            .zip(transposed.chunks_exact(BLOCK_PARAMETERS))
+            .map(|(all, transposed)| Weights { all, transposed })
+            .collect()
+    }
+}
+
+impl<'a, T: Real> Weights<'a, T> {
+    pub(super) fn groups(&self) -> &'a [T] {
+        &self.all[GROUPS_START..OUTPUT.start]
+    }
+
+    /// `y = x Wᵀ + b`.
+    pub(super) fn forward(&self, layer: Layer, x: &[T], y: &mut [T]) {
+        if layer.bias {
+            let start = layer.start + layer.inner * layer.out;
+            fill_rows(&self.all[start..start + layer.out], y);
+        }
+        self.product(layer, x, y, layer.bias);
+    }
+
+    /// `y += x Wᵀ`.
+    pub(super) fn forward_add(&self, layer: Layer, x: &[T], y: &mut [T]) {
+        self.product(layer, x, y, true);
+    }
+
+    fn product(&self, layer: Layer, x: &[T], y: &mut [T], keep: bool) {
+        let size = layer.inner * layer.out;
+        rows_times(
+            x,
+            &self.transposed[layer.start..][..size],
+            layer.out,
+            y,
+            keep,
+        );
+    }
+
+    /// `dx = dx·keep + g W`.
+    pub(super) fn backward(&self, layer: Layer, g: &[T], dx: &mut [T], keep: bool) {
+        let size = layer.inner * layer.out;
+        rows_times(g, &self.all[layer.start..][..size], layer.inner, dx, keep);
+    }
+
+    fn norm(&self, index: usize) -> (&[T], &[T]) {
+        self.all[NORMS_START + index * 2 * WIDTH..][..2 * WIDTH].split_at(WIDTH)
+    }
+
+    pub(super) fn norm_forward(&self, index: usize, x: &[T], y: &mut [T]) {
+        let (w, b) = self.norm(index);
+        layer_norm::run_forward(x, w, b, y);
+    }
+
+    /// `dx` from the norm's input x and its output's gradient; weight and bias gradients are added to `d`.
+    pub(super) fn norm_backward(&self, index: usize, x: &[T], g: &[T], dx: &mut [T], d: &mut [T]) {
+        let (dw, db) = d[index * 2 * WIDTH..][..2 * WIDTH].split_at_mut(WIDTH);
+        layer_norm::run_backward(x, self.norm(index).0, g, dx, dw, db);
+    }
+}
