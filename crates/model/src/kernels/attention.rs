@@ -365,7 +365,7 @@ impl<'a, T: Real> Input<'a, T> {
         }
         let share = T::one() / total;
         for weight in weights {
-            *weight = *weight * share;
+            *weight *= share;
         }
     }
 

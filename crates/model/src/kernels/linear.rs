@@ -97,6 +97,8 @@ fn forward<T: Real>(
     y
 }
 
+/// Gradient and output of some rows, and the place for their input's gradient.
+type Piece<'a, T> = ((&'a mut [T], &'a [T]), Option<&'a mut [T]>);
 type Gradients = (Option<Tensor>, Option<Tensor>, Option<Tensor>);
 
 fn backward<T: Real>(
@@ -117,17 +119,14 @@ fn backward<T: Real>(
         let g = g.chunks_mut(BLOCK_ROWS * out);
         let blocks = g.zip(y.chunks(BLOCK_ROWS * out));
         let blocks = blocks.map(|block| (block, parts.next())).collect();
-        for_all(
-            blocks,
-            |((g, y), dx): ((&mut [T], &[T]), Option<&mut [T]>)| {
-                if activation == Activation::Relu {
-                    mask(y, g);
-                }
-                if let Some(dx) = dx {
-                    rows_times(g, w, inner, dx, false);
-                }
-            },
-        );
+        for_all(blocks, |((g, y), dx): Piece<T>| {
+            if activation == Activation::Relu {
+                mask(y, g);
+            }
+            if let Some(dx) = dx {
+                rows_times(g, w, inner, dx, false);
+            }
+        });
     }
     let device = x.device();
     let dw = if weight.track_op() {
