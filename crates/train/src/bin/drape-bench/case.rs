@@ -244,3 +244,84 @@ pub fn make(shape: &Shape) -> anyhow::Result<Case> {
         frames,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use drape_model::{FrameGraph, ModelConfig};
+
+    use super::*;
+
+    /// Vertices, body vertices, patches; mesh, world and body entries per patch (repeats counted), of
+    /// them distinct; body vertices in use.
+    fn sizes(shape: &Shape) -> [f64; 8] {
+        let case = make(shape).unwrap();
+        let (outfit, sample) = (&case.sample.outfit, &case.sample);
+        let config = ModelConfig::released();
+        let graph = FrameGraph::new(&config, outfit, &sample.state, &sample.steps[0]).unwrap();
+        let patches = outfit.patches.count() as f64;
+        let logs = graph.edges.body_log_count.iter();
+        let repeats: f64 = logs.map(|log| f64::from(log.exp())).sum();
+        [
+            outfit.vertices() as f64,
+            outfit.body_vertices as f64,
+            patches,
+            graph.edges.mesh.items.len() as f64 / patches,
+            graph.edges.world.items.len() as f64 / patches,
+            repeats / patches - 2.0,
+            graph.edges.body.items.len() as f64 / patches - 2.0,
+            graph.body_tokens as f64,
+        ]
+    }
+
+    #[test]
+    fn sizes_are_the_published_ones_within_five_percent() {
+        for (name, shape, published) in [
+            (
+                "small",
+                SMALL,
+                [600.0, 200.0, 200.0, 12.6, 3.0, 16.0, 8.1, 117.0],
+            ),
+            (
+                "medium",
+                MEDIUM,
+                [3000.0, 1514.0, 1200.0, 15.3, 1.8, 13.4, 5.2, 571.0],
+            ),
+            (
+                "large",
+                LARGE,
+                [8000.0, 6890.0, 1200.0, 10.9, 1.8, 13.6, 13.0, 2414.0],
+            ),
+        ] {
+            for (index, (found, expected)) in sizes(&shape).into_iter().zip(published).enumerate() {
+                let off = (found / expected - 1.0).abs();
+                assert!(
+                    off <= 0.05,
+                    "{name}, size {index}: {found}, published {expected}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn grown_outfits_have_the_density_of_the_first() {
+        let [first, grown] = [1000, 8000].map(|vertices| sizes(&MEDIUM.grown(vertices)));
+        assert!((grown[0] / 8000.0 - 1.0).abs() < 0.02);
+        // Patches and body grow alike, neighbours stay as many; ends count less on a longer tube.
+        for index in [1, 2, 7] {
+            let growth = grown[index] / first[index];
+            assert!(
+                (growth / 8.0 - 1.0).abs() < 0.2,
+                "size {index} grew {growth} times"
+            );
+        }
+        for index in 3..7 {
+            let off = (grown[index] / first[index] - 1.0).abs();
+            assert!(
+                off < 0.2,
+                "size {index}: {} and {}",
+                first[index],
+                grown[index]
+            );
+        }
+    }
+}
