@@ -8,9 +8,9 @@
 use std::fmt;
 
 use drape_dataset::SequenceReader;
+use drape_dataset::intersections::count_intersections;
 use drape_dataset::registry::Effect;
 use drape_dataset::sequence::{Frame, Intersections, SequenceHeader};
-use drape_geometry::intersect::{count_between, count_within};
 use drape_geometry::mesh::defects;
 
 /// Heights in metres that a person in any pose may take, arms up included.
@@ -161,8 +161,11 @@ impl Survey {
             self.stored.push((index, stored));
         }
         if recount {
-            self.recounted
-                .push((index, count(header, &frame), frame.intersections));
+            self.recounted.push((
+                index,
+                count_intersections(header, &frame),
+                frame.intersections,
+            ));
         }
         self.previous = Some((index, frame));
     }
@@ -323,22 +326,6 @@ impl Survey {
             detail,
         }
     }
-}
-
-/// Intersections of a frame, counted by `drape-geometry`.
-fn count(header: &SequenceHeader, frame: &Frame) -> Intersections {
-    let mut found = Intersections::default();
-    let garments: Vec<_> = header.garments.iter().zip(&frame.garments).collect();
-    for (index, (garment, positions)) in garments.iter().enumerate() {
-        found.within_garments += count_within(positions, &garment.faces);
-        found.with_body +=
-            count_between(positions, &garment.faces, &frame.body, &header.body.faces);
-        for (other, other_positions) in &garments[index + 1..] {
-            found.between_garments +=
-                count_between(positions, &garment.faces, other_positions, &other.faces);
-        }
-    }
-    found
 }
 
 fn rest_meshes(header: &SequenceHeader) -> Check {
