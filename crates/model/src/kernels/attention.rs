@@ -12,6 +12,10 @@
 //! give 0. Only listed entries are computed, so nothing is masked after dividing;
 //! |r − s|² is summed directly and kept above 1e-12.
 //!
+//! Inside, a token's channels are in another order ([`place_of`]): world heads, then mesh
+//! heads; of each kind channel by channel the numbers of the four groups. A pass takes one
+//! sender after the other, all groups at once, and never turns rows into columns.
+//!
 //! Source: equations 2 and 3 of the paper's supplement; the published program's
 //! factors (its description, section 8). Backward by hand; the probabilities are
 //! computed again instead of being stored.
@@ -32,8 +36,14 @@ pub const WIDTH: usize = 2 * GROUPS * HEAD;
 /// Parameters of one group: W, M, c.
 pub const GROUP_PARAMETERS: usize = HEAD * 3 + HEAD * HEAD + HEAD;
 
-/// Rows whose scores are computed at once.
-const LANES: usize = 16;
+/// Kinds of heads: world, then mesh.
+const KINDS: usize = 2;
+/// Numbers of a vector: four channels of four groups.
+const LANES: usize = 4 * GROUPS;
+/// Channels of one kind's heads.
+const KIND_WIDTH: usize = GROUPS * HEAD;
+/// Parts of the receivers whose gradients are summed apart; fixed, so that bits do not depend on threads.
+const PARTS: usize = 2;
 const EPSILON: f64 = 1e-7;
 const SQUARED_DISTANCE_FLOOR: f64 = 1e-12;
 const KAPPA: f64 = 0.25;
@@ -84,178 +94,200 @@ pub(super) struct Attention {
     pub(super) own_slots: bool,
 }
 
-/// Channels of one group: its world head, then its mesh head.
-const GROUP_WIDTH: usize = 2 * HEAD;
-
-/// Gradients of one group: it has its own channels of every token and its own parameters.
-#[derive(Clone, Default)]
-pub(super) struct GroupGradient<T> {
-    /// Of r, q and senders, one below the other: `[rows, 32]`.
-    tokens: Vec<T>,
-    /// Of W, M, c.
-    parameters: Vec<T>,
-    /// Of the body tokens' projections `Wᵀ s`.
-    projected: Vec<[T; 3]>,
+/// Where channel `channel` of a token is in the order of the passes.
+pub(super) const fn place_of(channel: usize) -> usize {
+    let (slot, c) = (channel / HEAD, channel % HEAD);
+    (slot % KINDS) * KIND_WIDTH + c * GROUPS + slot / KINDS
 }
 
-/// One group's parameters, with M W multiplied out; `[16, 3]` matrices column by column.
-struct Group<'a, T> {
-    w: [[T; HEAD]; 3],
-    m: &'a [T],
-    c: &'a [T; HEAD],
-    mw: [[T; HEAD]; 3],
+/// Where the published program adds number `at` of a row's body messages: group g's go to head slot g.
+const fn shared_place(at: usize) -> usize {
+    place_of((at % GROUPS) * HEAD + at / GROUPS)
 }
 
-impl<'a, T: Real> Group<'a, T> {
-    fn all(parameters: &'a [T]) -> Vec<Self> {
-        parameters
-            .chunks_exact(GROUP_PARAMETERS)
-            .map(|all| {
-                let (rows, rest) = all.split_at(HEAD * 3);
-                let (m, c) = rest.split_at(HEAD * HEAD);
-                let w = std::array::from_fn(|axis| std::array::from_fn(|i| rows[3 * i + axis]));
-                let mut mw = [[T::zero(); HEAD]; 3];
-                for (out, w) in mw.iter_mut().zip(&w) {
-                    for (row, value) in out.iter_mut().enumerate() {
-                        for (inner, &w) in w.iter().enumerate() {
-                            *value += m[row * HEAD + inner] * w;
-                        }
-                    }
-                }
-                Group {
-                    w,
-                    m,
-                    c: head(c, 0),
-                    mw,
-                }
-            })
-            .collect()
-    }
+/// One number of each group.
+type Four<T> = [T; GROUPS];
+
+/// A head of each group: channel c of group g is lane 4 (c mod 4) + g of vector c / 4.
+type Heads<T> = [[T; LANES]; HEAD * GROUPS / LANES];
+
+/// Three axes' numbers of each group, beside each channel.
+type Turn<T> = [[T; LANES]; 3];
+
+#[inline(always)]
+fn zeros<T: Real>() -> Heads<T> {
+    [[T::zero(); LANES]; HEAD * GROUPS / LANES]
+}
+
+/// The heads at a slice's start.
+#[inline(always)]
+fn heads<T: Real>(values: &[T]) -> &Heads<T> {
+    let (vectors, _) = values[..KIND_WIDTH].as_chunks::<LANES>();
+    vectors.try_into().expect("as many as heads have")
 }
 
 #[inline(always)]
-fn head<T: Real>(row: &[T], start: usize) -> &[T; HEAD] {
-    row[start..start + HEAD]
+fn heads_mut<T: Real>(values: &mut [T]) -> &mut Heads<T> {
+    let (vectors, _) = values[..KIND_WIDTH].as_chunks_mut::<LANES>();
+    vectors.try_into().expect("as many as heads have")
+}
+
+#[inline(always)]
+fn four<T: Real>(values: &[T], entry: usize) -> Four<T> {
+    values[entry * GROUPS..(entry + 1) * GROUPS]
         .try_into()
-        .expect("a head is 16 wide")
+        .expect("one of each group")
 }
 
+/// Each group's number beside each of its channels. To be written to memory and read from there: a
+/// compiler that knows of the repetition makes other vectors than these.
 #[inline(always)]
-fn tree_sum<T: Real>(mut v: [T; HEAD]) -> T {
-    for i in 0..8 {
-        v[i] += v[i + 8];
-    }
-    for i in 0..4 {
-        v[i] += v[i + 4];
-    }
-    (v[0] + v[2]) + (v[1] + v[3])
+fn tile<T: Real>(x: Four<T>) -> [T; LANES] {
+    std::array::from_fn(|lane| x[lane % GROUPS])
 }
 
-/// One head of up to sixteen rows, channel by channel: sums over channels are then sums of
-/// vectors, one lane a row.
-struct Lanes<T>([[T; LANES]; HEAD]);
+/// [`tile`] for numbers that are needed at once.
+#[inline(always)]
+fn tiled<T: Real>(x: [Four<T>; 3]) -> Turn<T> {
+    std::hint::black_box(x.map(tile))
+}
 
-impl<T: Real> Lanes<T> {
-    fn new() -> Self {
-        Self([[T::zero(); LANES]; HEAD])
+/// [`tile`] of each entry's numbers.
+#[inline(always)]
+fn tile_all<T: Real>(values: &[T], out: &mut Vec<[T; LANES]>) {
+    let (fours, _) = values.as_chunks::<GROUPS>();
+    out.clear();
+    out.extend(fours.iter().map(|&four| tile(four)));
+}
+
+/// Each group's sum over a vector's channels.
+#[inline(always)]
+fn fold<T: Real>(x: [T; LANES]) -> Four<T> {
+    // The compiler would carry four lanes through all sums that lead here: it shall not look ahead.
+    let mut x = std::hint::black_box(x);
+    for i in 0..LANES / 2 {
+        x[i] += x[i + LANES / 2];
     }
+    std::array::from_fn(|group| x[group] + x[group + GROUPS])
+}
 
-    /// Fills the first lanes; the others keep what they held.
-    #[inline(always)]
-    fn load(&mut self, input: &Input<T>, rows: &[usize], start: usize) {
-        for (lane, &row) in rows.iter().enumerate() {
-            let s = head(input.row(row), start);
-            for i in 0..HEAD {
-                self.0[i][lane] = s[i];
-            }
-        }
+/// `to += x·y`, lane by lane.
+#[inline(always)]
+fn add_product<T: Real>(to: &mut [T; LANES], x: &[T; LANES], y: &[T; LANES]) {
+    let mut sum = *to;
+    for lane in 0..LANES {
+        sum[lane] += x[lane] * y[lane];
     }
+    *to = sum;
+}
 
-    /// `|r − s|²`.
-    #[inline(always)]
-    fn squared_distance(&self, r: &[T; HEAD]) -> [T; LANES] {
+/// Each group's `Wᵀ x`, axis by axis.
+#[inline(always)]
+fn project<T: Real>(w: &[Heads<T>; 3], x: &Heads<T>) -> [Four<T>; 3] {
+    std::array::from_fn(|axis| {
         let mut sum = [T::zero(); LANES];
-        for i in 0..HEAD {
+        for (w, x) in w[axis].iter().zip(x) {
             for lane in 0..LANES {
-                let d = r[i] - self.0[i][lane];
-                sum[lane] += d * d;
+                sum[lane] += w[lane] * x[lane];
             }
         }
-        sum
-    }
+        fold(sum)
+    })
+}
 
-    /// `x·(r + s)`.
-    #[inline(always)]
-    fn along(&self, x: &[T; HEAD], r: &[T; HEAD]) -> [T; LANES] {
-        let mut sum = [T::zero(); LANES];
-        for i in 0..HEAD {
-            for lane in 0..LANES {
-                sum[lane] += x[i] * (r[i] + self.0[i][lane]);
-            }
+/// Each group's `W z`, added to x.
+#[inline(always)]
+fn lift<T: Real>(w: &[Heads<T>; 3], z: &Turn<T>, x: &mut Heads<T>) {
+    for (vector, x) in x.iter_mut().enumerate() {
+        for axis in 0..3 {
+            add_product(x, &w[axis][vector], &z[axis]);
         }
-        sum
-    }
-}
-
-/// `Wᵀ x`.
-#[inline(always)]
-fn project<T: Real>(w: &[[T; HEAD]; 3], x: &[T; HEAD]) -> [T; 3] {
-    [dot(&w[0], x), dot(&w[1], x), dot(&w[2], x)]
-}
-
-#[inline(always)]
-fn dot<T: Real>(x: &[T; HEAD], y: &[T; HEAD]) -> T {
-    let mut v = [T::zero(); HEAD];
-    for i in 0..HEAD {
-        v[i] = x[i] * y[i];
-    }
-    tree_sum(v)
-}
-
-/// `W z`, added to x.
-#[inline(always)]
-fn lift<T: Real>(w: &[[T; HEAD]; 3], z: [T; 3], x: &mut [T]) {
-    let x: &mut [T; HEAD] = x.try_into().expect("a head is 16 wide");
-    for i in 0..HEAD {
-        x[i] += w[0][i] * z[0] + w[1][i] * z[1] + w[2][i] * z[2];
     }
 }
 
 #[inline(always)]
-fn turn<T: Real>(r: &[[f32; 3]; 3], x: [T; 3]) -> [T; 3] {
-    let mut y = [T::zero(); 3];
+fn turn<T: Real>(r: &[[f32; 3]; 3], x: [Four<T>; 3]) -> [Four<T>; 3] {
+    let mut y = [[T::zero(); GROUPS]; 3];
     for (row, out) in r.iter().zip(&mut y) {
         for axis in 0..3 {
-            *out += T::of(f64::from(row[axis])) * x[axis];
+            let factor = T::of(f64::from(row[axis]));
+            for group in 0..GROUPS {
+                out[group] += factor * x[axis][group];
+            }
         }
     }
     y
 }
 
 #[inline(always)]
-fn turn_back<T: Real>(r: &[[f32; 3]; 3], x: [T; 3]) -> [T; 3] {
-    let mut y = [T::zero(); 3];
-    for (row, &value) in r.iter().zip(&x) {
+fn turn_back<T: Real>(r: &[[f32; 3]; 3], x: [Four<T>; 3]) -> [Four<T>; 3] {
+    let mut y = [[T::zero(); GROUPS]; 3];
+    for (row, x) in r.iter().zip(&x) {
         for axis in 0..3 {
-            y[axis] += T::of(f64::from(row[axis])) * value;
+            let factor = T::of(f64::from(row[axis]));
+            for group in 0..GROUPS {
+                y[axis][group] += factor * x[group];
+            }
         }
     }
     y
 }
 
-/// What the passes read.
+/// The groups' parameters, with M W multiplied out, in the order of the passes.
+struct Groups<'a, T> {
+    parameters: &'a [T],
+    w: [Heads<T>; 3],
+    mw: [Heads<T>; 3],
+    c: Heads<T>,
+}
+
+/// W, M and c of one group.
+fn split<T>(parameters: &[T]) -> [&[T]; 3] {
+    let (w, rest) = parameters.split_at(HEAD * 3);
+    let (m, c) = rest.split_at(HEAD * HEAD);
+    [w, m, c]
+}
+
+impl<'a, T: Real> Groups<'a, T> {
+    fn new(parameters: &'a [T]) -> Self {
+        let mut groups = Self {
+            parameters,
+            w: [zeros(); 3],
+            mw: [zeros(); 3],
+            c: zeros(),
+        };
+        for (group, all) in parameters.chunks_exact(GROUP_PARAMETERS).enumerate() {
+            let [w, m, c] = split(all);
+            for channel in 0..HEAD {
+                let at = channel * GROUPS + group;
+                groups.c.as_flattened_mut()[at] = c[channel];
+                for axis in 0..3 {
+                    groups.w[axis].as_flattened_mut()[at] = w[3 * channel + axis];
+                    let mut mw = T::zero();
+                    for inner in 0..HEAD {
+                        mw += m[channel * HEAD + inner] * w[3 * inner + axis];
+                    }
+                    groups.mw[axis].as_flattened_mut()[at] = mw;
+                }
+            }
+        }
+        groups
+    }
+}
+
+/// What the passes read; tokens in their order.
 struct Input<'a, T> {
     edges: &'a Edges,
     tokens: &'a [T],
     receivers: usize,
-    groups: &'a [Group<'a, T>],
-    /// `Wᵀ s` of every body token and group.
-    body_projected: &'a [[[T; 3]; GROUPS]],
+    groups: &'a Groups<'a, T>,
+    /// `Wᵀ s` of every body token.
+    body_projected: &'a [[Four<T>; 3]],
     own_slots: bool,
 }
 
-/// The entries of one receiver's head, and their softmax. All but `rows` have room for whole
-/// [`LANES`]; what is beyond `count` means nothing.
+/// The entries of one receiver's heads of a kind, and their softmax. All but `rows` hold four numbers
+/// of each entry, one a group, and have room for whole vectors; what is beyond the entries means nothing.
 #[derive(Default)]
 struct Softmax<T> {
     /// Number of entries; those from `body_from` on are body tokens.
@@ -264,16 +296,18 @@ struct Softmax<T> {
     /// Rows of the senders in the token matrix, and what is added to their logits.
     rows: Vec<usize>,
     bias: Vec<T>,
-    /// |r − s|, (r + s)·q, and the probability.
+    /// |r − s|, (r + s)·q, the probability p, and p/|r − s|.
     distance: Vec<T>,
     alignment: Vec<T>,
     weight: Vec<T>,
+    value: Vec<T>,
 }
 
 impl<'a, T: Real> Input<'a, T> {
+    /// The heads of a kind of a row.
     #[inline(always)]
-    fn row(&self, row: usize) -> &'a [T] {
-        &self.tokens[row * WIDTH..(row + 1) * WIDTH]
+    fn heads(&self, row: usize, kind: usize) -> &'a Heads<T> {
+        heads(&self.tokens[row * WIDTH + kind * KIND_WIDTH..])
     }
 
     /// Row of the first body token.
@@ -281,347 +315,472 @@ impl<'a, T: Real> Input<'a, T> {
         2 * self.receivers + self.edges.senders
     }
 
-    /// Lists the entries of a receiver's mesh or world heads.
+    /// Lists the entries of a receiver's heads of a kind.
     #[inline(always)]
-    fn list(&self, receiver: usize, mesh: bool, out: &mut Softmax<T>) {
+    fn list(&self, receiver: usize, kind: usize, out: &mut Softmax<T>) {
         let edges = self.edges;
         out.rows.clear();
         out.bias.clear();
-        let list = if mesh { &edges.mesh } else { &edges.world };
+        let list = if kind == 0 { &edges.world } else { &edges.mesh };
         let senders = list.row(receiver).iter();
         out.rows
             .extend(senders.map(|&sender| 2 * self.receivers + sender as usize));
         out.body_from = out.rows.len();
-        out.bias.resize(out.body_from, T::zero());
-        if !mesh {
+        out.bias.resize(out.body_from * GROUPS, T::zero());
+        if kind == 0 {
             let range =
                 edges.body.offsets[receiver] as usize..edges.body.offsets[receiver + 1] as usize;
             let counts = &edges.body_log_count[range.clone()];
             let tokens = edges.body.items[range].iter();
             out.rows
                 .extend(tokens.map(|&token| self.first_body() + token as usize));
-            out.bias
-                .extend(counts.iter().map(|&count| T::of(f64::from(count))));
+            for &count in counts {
+                out.bias.extend([T::of(f64::from(count)); GROUPS]);
+            }
         }
         out.count = out.rows.len();
-        let room = out.count.next_multiple_of(LANES);
+        let room = (out.count * GROUPS).next_multiple_of(LANES);
         for buffer in [
             &mut out.bias,
             &mut out.distance,
             &mut out.alignment,
             &mut out.weight,
+            &mut out.value,
         ] {
             buffer.resize(room, T::zero());
         }
     }
 
-    /// Distances, alignments and probabilities of the listed entries for the head at channel `start`.
+    /// Distances, alignments and probabilities of the listed entries.
     #[inline(always)]
-    fn weigh(&self, receiver: usize, start: usize, list: &mut Softmax<T>) {
-        let r = head(self.row(receiver), start);
-        let q = head(self.row(self.receivers + receiver), start);
-        let floor = T::of(SQUARED_DISTANCE_FLOOR);
-        let mut lanes = Lanes::new();
-        let outputs = (list.distance.chunks_exact_mut(LANES))
-            .zip(list.alignment.chunks_exact_mut(LANES))
-            .zip(list.weight.chunks_exact_mut(LANES));
-        for ((rows, bias), ((distance, alignment), weight)) in list
-            .rows
-            .chunks(LANES)
-            .zip(list.bias.chunks_exact(LANES))
-            .zip(outputs)
-        {
-            lanes.load(self, rows, start);
-            let squared = lanes.squared_distance(r);
-            let along = lanes.along(q, r);
-            for lane in 0..LANES {
-                // Written so that a NaN stays a NaN and is found.
-                let kept = if squared[lane] < floor {
-                    floor
-                } else {
-                    squared[lane]
-                };
-                let d = kept.sqrt();
-                distance[lane] = d;
-                alignment[lane] = along[lane];
-                weight[lane] =
-                    T::of(2.0 * KAPPA) * along[lane] / (d + T::of(2.0 * EPSILON)) + bias[lane];
+    fn weigh(&self, receiver: usize, kind: usize, list: &mut Softmax<T>) {
+        let r = self.heads(receiver, kind);
+        let q = self.heads(self.receivers + receiver, kind);
+        for (entry, &row) in list.rows.iter().enumerate() {
+            let s = self.heads(row, kind);
+            let (mut squared, mut along) = ([T::zero(); LANES], [T::zero(); LANES]);
+            for ((r, q), s) in r.iter().zip(q).zip(s) {
+                for lane in 0..LANES {
+                    let d = r[lane] - s[lane];
+                    squared[lane] += d * d;
+                    along[lane] += q[lane] * (r[lane] + s[lane]);
+                }
             }
+            list.distance[entry * GROUPS..][..GROUPS].copy_from_slice(&fold(squared));
+            list.alignment[entry * GROUPS..][..GROUPS].copy_from_slice(&fold(along));
         }
-        let weights = &mut list.weight[..list.count];
-        let largest = weights.iter().fold(T::neg_infinity(), |top, &weight| {
+        let floor = T::of(SQUARED_DISTANCE_FLOOR);
+        let (distance, _) = list.distance.as_chunks_mut::<LANES>();
+        let (alignment, _) = list.alignment.as_chunks::<LANES>();
+        let (bias, _) = list.bias.as_chunks::<LANES>();
+        let (weight, _) = list.weight.as_chunks_mut::<LANES>();
+        for ((distance, along), (weight, bias)) in
+            (distance.iter_mut().zip(alignment)).zip(weight.iter_mut().zip(bias))
+        {
+            // Written so that a NaN stays a NaN and is found.
+            let d = distance.map(|squared| if squared < floor { floor } else { squared }.sqrt());
+            *weight = std::array::from_fn(|lane| {
+                T::of(2.0 * KAPPA) * along[lane] / (d[lane] + T::of(2.0 * EPSILON)) + bias[lane]
+            });
+            *distance = d;
+        }
+        list.weight[list.count * GROUPS..].fill(T::neg_infinity());
+        let larger = |top: T, weight: T| {
             if weight > top || weight.is_nan() {
                 weight
             } else {
                 top
             }
-        });
-        for weight in weights.iter_mut() {
-            *weight = (*weight - largest).exp_of_negative();
+        };
+        let (weight, _) = list.weight.as_chunks_mut::<LANES>();
+        let mut largest = [T::neg_infinity(); LANES];
+        for weight in weight.iter() {
+            for lane in 0..LANES {
+                largest[lane] = larger(largest[lane], weight[lane]);
+            }
         }
-        let mut total = T::zero();
-        for &weight in weights.iter() {
-            total += weight;
+        for i in 0..LANES / 2 {
+            largest[i] = larger(largest[i], largest[i + LANES / 2]);
         }
-        let share = T::one() / total;
-        for weight in weights {
-            *weight *= share;
+        let largest: Four<T> =
+            std::array::from_fn(|group| larger(largest[group], largest[group + GROUPS]));
+        let largest = std::hint::black_box(tile(largest));
+        for weight in weight.iter_mut() {
+            for lane in 0..LANES {
+                weight[lane] = (weight[lane] - largest[lane]).exp_of_negative();
+            }
+        }
+        list.weight[list.count * GROUPS..].fill(T::zero());
+        let (weight, _) = list.weight.as_chunks_mut::<LANES>();
+        let mut total = [T::zero(); LANES];
+        for weight in weight.iter() {
+            for lane in 0..LANES {
+                total[lane] += weight[lane];
+            }
+        }
+        let share = std::hint::black_box(tile(fold(total).map(|total| T::one() / total)));
+        let (value, _) = list.value.as_chunks_mut::<LANES>();
+        let (distance, _) = list.distance.as_chunks::<LANES>();
+        for ((weight, value), distance) in weight.iter_mut().zip(value).zip(distance) {
+            let p: [T; LANES] = std::array::from_fn(|lane| weight[lane] * share[lane]);
+            *value = std::array::from_fn(|lane| p[lane] / distance[lane]);
+            *weight = p;
         }
     }
 
+    /// `R Wᵀ(r + s)` of the body entries, from `Wᵀ r`.
     #[inline(always)]
-    fn body_start(&self, group: usize) -> usize {
-        if self.own_slots {
-            2 * group * HEAD
-        } else {
-            group * HEAD
+    fn turns(&self, list: &Softmax<T>, a: &[Four<T>; 3], out: &mut Vec<Turn<T>>) {
+        out.clear();
+        for &row in &list.rows[list.body_from..] {
+            let token = row - self.first_body();
+            let b = &self.body_projected[token];
+            let both = std::array::from_fn(|axis| {
+                std::array::from_fn(|group| a[axis][group] + b[axis][group])
+            });
+            out.push(turn(&self.edges.rotations[token], both).map(tile));
         }
     }
 
-    /// `R Wᵀ(r + s)` and `relu(M W ·  + c)` of a body entry.
+    /// `y = relu(M W t + c)` of a body entry, and `Rᵀ Wᵀ y`.
     #[inline(always)]
-    fn body_inner(&self, group: usize, token: usize, a: [T; 3]) -> ([T; 3], [T; HEAD]) {
-        let g = &self.groups[group];
-        let b = self.body_projected[token][group];
-        let t = turn(
-            &self.edges.rotations[token],
-            [a[0] + b[0], a[1] + b[1], a[2] + b[2]],
-        );
-        let mut y = [T::zero(); HEAD];
-        for i in 0..HEAD {
-            let value = g.mw[0][i] * t[0] + g.mw[1][i] * t[1] + g.mw[2][i] * t[2] + g.c[i];
-            y[i] = if value < T::zero() { T::zero() } else { value };
+    fn message(&self, token: usize, t: &Turn<T>) -> (Heads<T>, [Four<T>; 3]) {
+        let mut y = self.groups.c;
+        lift(&self.groups.mw, t, &mut y);
+        for y in &mut y {
+            for lane in 0..LANES {
+                y[lane] = if y[lane] < T::zero() {
+                    T::zero()
+                } else {
+                    y[lane]
+                };
+            }
         }
-        (t, y)
+        let o = turn_back(&self.edges.rotations[token], project(&self.groups.w, &y));
+        (y, o)
     }
 }
 
 #[inline(always)]
 fn forward_rows<T: Real>(input: &Input<T>, first: usize, out: &mut [T]) {
     let mut list = Softmax::default();
+    let (mut values, mut turns) = (Vec::new(), Vec::new());
+    let w = &input.groups.w;
     for (offset, out) in out.chunks_exact_mut(WIDTH).enumerate() {
         let receiver = first + offset;
-        for mesh in [false, true] {
-            input.list(receiver, mesh, &mut list);
+        for kind in 0..KINDS {
+            input.list(receiver, kind, &mut list);
             if list.count == 0 {
                 continue;
             }
-            for group in 0..GROUPS {
-                let start = (2 * group + usize::from(mesh)) * HEAD;
-                input.weigh(receiver, start, &mut list);
-                let r = head(input.row(receiver), start);
-                // Σ v (r + s) = r Σ v + Σ v s.
-                let (mut sum, mut all) = ([T::zero(); HEAD], T::zero());
-                for entry in 0..list.body_from {
-                    let value = list.weight[entry] / list.distance[entry];
-                    let s = head(input.row(list.rows[entry]), start);
-                    all += value;
-                    for i in 0..HEAD {
-                        sum[i] += value * s[i];
-                    }
+            input.weigh(receiver, kind, &mut list);
+            let r = input.heads(receiver, kind);
+            // Σ v (r + s) = r Σ v + Σ v s.
+            tile_all(&list.value[..list.body_from * GROUPS], &mut values);
+            let mut all = [T::zero(); LANES];
+            for value in &values {
+                for lane in 0..LANES {
+                    all[lane] += value[lane];
                 }
-                for i in 0..HEAD {
-                    out[start + i] += all * r[i] + sum[i];
+            }
+            // Vector by vector, or the compiler makes vectors across them.
+            for (vector, own) in (heads_mut(&mut out[kind * KIND_WIDTH..]).iter_mut()).enumerate() {
+                let mut sum = *own;
+                for (value, &row) in values.iter().zip(&list.rows) {
+                    add_product(&mut sum, value, &input.heads(row, kind)[vector]);
                 }
-                if !mesh {
-                    let w = &input.groups[group].w;
-                    let a = project(w, r);
-                    let mut turned = [T::zero(); 3];
-                    for entry in list.body_from..list.count {
-                        let value = list.weight[entry] / list.distance[entry];
-                        let token = list.rows[entry] - input.first_body();
-                        let (_, y) = input.body_inner(group, token, a);
-                        let o = turn_back(&input.edges.rotations[token], project(w, &y));
-                        for axis in 0..3 {
-                            turned[axis] += value * o[axis];
+                add_product(&mut sum, &all, &r[vector]);
+                *own = sum;
+            }
+            if list.body_from < list.count {
+                input.turns(&list, &project(w, r), &mut turns);
+                let mut turned = [[T::zero(); GROUPS]; 3];
+                for (entry, t) in (list.body_from..).zip(&turns) {
+                    let value = four(&list.value, entry);
+                    let (_, o) = input.message(list.rows[entry] - input.first_body(), t);
+                    for axis in 0..3 {
+                        for group in 0..GROUPS {
+                            turned[axis][group] += value[group] * o[axis][group];
                         }
                     }
-                    lift(w, turned, &mut out[input.body_start(group)..][..HEAD]);
+                }
+                let turned = tiled(turned);
+                if input.own_slots {
+                    lift(w, &turned, heads_mut(out));
+                } else {
+                    let mut message = zeros();
+                    lift(w, &turned, &mut message);
+                    for (at, &message) in message.as_flattened().iter().enumerate() {
+                        out[shared_place(at)] += message;
+                    }
                 }
             }
         }
     }
 }
 
-/// What the backward pass of one group adds to; `[16, 3]` matrices column by column, M W as a product.
-struct Output<'a, T> {
-    tokens: &'a mut [T],
-    parameters: &'a mut [T],
-    w: [[T; HEAD]; 3],
-    mw: [[T; HEAD]; 3],
-    c: [T; HEAD],
-    projected: &'a mut [[T; 3]],
+/// Gradients of one kind's heads that come from some receivers.
+#[derive(Clone, Default)]
+struct PartGradient<T> {
+    /// Of r and of q of those receivers, then of all senders: `[rows, 64]`.
+    r: Vec<T>,
+    q: Vec<T>,
+    senders: Vec<T>,
+    /// Of the body tokens' projections `Wᵀ s`.
+    projected: Vec<[Four<T>; 3]>,
+    /// Of the groups' W, M, c.
+    parameters: Vec<T>,
 }
 
-/// Of a body entry: `R Wᵀ(r + s)`, `relu(M W · + c)`, and `Rᵀ Wᵀ` of that.
-type Message<T> = ([T; 3], [T; HEAD], [T; 3]);
+/// Gradients of tokens and parameters: of each part of the receivers world heads and mesh heads.
+#[derive(Clone, Default)]
+pub(super) struct Gradient<T> {
+    parts: [[PartGradient<T>; KINDS]; PARTS],
+}
+
+/// What the parameters' gradients are made of: of W as lifts see it and of M W, axis by axis, and of c.
+struct Lifts<T> {
+    w: [Heads<T>; 3],
+    mw: [Heads<T>; 3],
+    c: Heads<T>,
+}
 
 #[inline(always)]
-fn backward_group<T: Real>(input: &Input<T>, group: usize, grad: &[T], out: &mut Output<T>) {
-    let w = &input.groups[group].w;
+fn backward_part<T: Real>(
+    input: &Input<T>,
+    (first, kind): (usize, usize),
+    grad: &[T],
+    out: &mut PartGradient<T>,
+    lifts: &mut Lifts<T>,
+) {
+    let w = &input.groups.w;
+    let two_kappa = T::of(2.0 * KAPPA);
     let mut list = Softmax::default();
-    // Gradients of the weights, and the body entries' messages.
-    let mut d_weight: Vec<T> = Vec::new();
-    let mut messages: Vec<Message<T>> = Vec::new();
-    let mut lanes = Lanes::new();
-    for (receiver, grad) in grad.chunks_exact(WIDTH).enumerate() {
-        for mesh in [false, true] {
-            input.list(receiver, mesh, &mut list);
-            if list.count == 0 {
-                continue;
-            }
-            let own = if mesh { HEAD } else { 0 };
-            let start = group * GROUP_WIDTH + own;
-            input.weigh(receiver, start, &mut list);
-            let r = head(input.row(receiver), start);
-            let q = head(input.row(input.receivers + receiver), start);
-            let g = head(grad, start);
-            let body_g = head(grad, input.body_start(group));
-            d_weight.resize(list.weight.len(), T::zero());
-            messages.clear();
-            let outputs = d_weight.chunks_exact_mut(LANES);
-            for ((rows, out), distance) in (list.rows[..list.body_from].chunks(LANES))
-                .zip(outputs)
-                .zip(list.distance.chunks_exact(LANES))
-            {
-                lanes.load(input, rows, start);
-                let along = lanes.along(g, r);
+    // Gradients of the weights; factors of q and (r + s), and of r − s; the body entries' messages.
+    let (mut d_weight, mut scales, mut pulls) = (Vec::new(), Vec::new(), Vec::new());
+    let mut tiles = [Vec::new(), Vec::new(), Vec::new()];
+    let (mut turns, mut d_turns) = (Vec::new(), Vec::new());
+    let mut messages: Vec<Heads<T>> = Vec::new();
+    for (offset, grad) in grad.chunks_exact(WIDTH).enumerate() {
+        let receiver = first + offset;
+        input.list(receiver, kind, &mut list);
+        if list.count == 0 {
+            continue;
+        }
+        input.weigh(receiver, kind, &mut list);
+        let r = input.heads(receiver, kind);
+        let q = input.heads(input.receivers + receiver, kind);
+        let g = heads(&grad[kind * KIND_WIDTH..]);
+        for buffer in [&mut d_weight, &mut scales, &mut pulls] {
+            buffer.resize(list.weight.len(), T::zero());
+        }
+        for (entry, &row) in list.rows[..list.body_from].iter().enumerate() {
+            let s = input.heads(row, kind);
+            let mut along = [T::zero(); LANES];
+            for ((g, r), s) in g.iter().zip(r).zip(s) {
                 for lane in 0..LANES {
-                    out[lane] = along[lane] / distance[lane];
+                    along[lane] += g[lane] * (r[lane] + s[lane]);
                 }
             }
-            let (mut turned, mut lifted_g) = ([T::zero(); 3], [T::zero(); 3]);
-            if !mesh {
-                let a = project(w, r);
-                lifted_g = project(w, body_g);
-                for entry in list.body_from..list.count {
-                    let token = list.rows[entry] - input.first_body();
-                    let value = list.weight[entry] / list.distance[entry];
-                    let (t, y) = input.body_inner(group, token, a);
-                    let o = turn_back(&input.edges.rotations[token], project(w, &y));
+            d_weight[entry * GROUPS..][..GROUPS].copy_from_slice(&fold(along));
+        }
+        messages.clear();
+        let mut body_g = zeros();
+        let (mut turned, mut lifted_g) = ([[T::zero(); GROUPS]; 3], [[T::zero(); GROUPS]; 3]);
+        if list.body_from < list.count {
+            input.turns(&list, &project(w, r), &mut turns);
+            if input.own_slots {
+                body_g = *heads(grad);
+            } else {
+                for (at, g) in body_g.as_flattened_mut().iter_mut().enumerate() {
+                    *g = grad[shared_place(at)];
+                }
+            }
+            lifted_g = project(w, &body_g);
+            for (entry, t) in (list.body_from..).zip(&turns) {
+                let value = four(&list.value, entry);
+                let (y, o) = input.message(list.rows[entry] - input.first_body(), t);
+                for group in 0..GROUPS {
+                    let mut along = T::zero();
                     for axis in 0..3 {
-                        turned[axis] += value * o[axis];
+                        turned[axis][group] += value[group] * o[axis][group];
+                        along += lifted_g[axis][group] * o[axis][group];
                     }
-                    let along = lifted_g[0] * o[0] + lifted_g[1] * o[1] + lifted_g[2] * o[2];
-                    d_weight[entry] = along / list.distance[entry];
-                    messages.push((t, y, o));
+                    d_weight[entry * GROUPS + group] = along;
                 }
-            }
-            let mut mean = T::zero();
-            for entry in 0..list.count {
-                mean += list.weight[entry] * d_weight[entry];
-            }
-            let mut dr = [T::zero(); HEAD];
-            let mut dq = [T::zero(); HEAD];
-            let mut da = [T::zero(); 3];
-            for entry in 0..list.count {
-                let (row, distance) = (list.rows[entry], list.distance[entry]);
-                let s = head(input.row(row), start);
-                let soft = distance + T::of(2.0 * EPSILON);
-                let dl = list.weight[entry] * (d_weight[entry] - mean);
-                let scale = dl * T::of(2.0 * KAPPA) / soft;
-                let value = list.weight[entry] / distance;
-                // Both the logit and the message fall with the distance; below its floor it is constant.
-                let floored = distance * distance <= T::of(SQUARED_DISTANCE_FLOOR);
-                let d_distance = if floored {
-                    T::zero()
-                } else {
-                    -(scale * list.alignment[entry] / soft + value * d_weight[entry])
-                };
-                let along = d_distance / distance;
-                let is_body = entry >= list.body_from;
-                let plain = if is_body { T::zero() } else { value };
-                let ds: &mut [T; HEAD] = (&mut out.tokens[row * GROUP_WIDTH + own..][..HEAD])
-                    .try_into()
-                    .expect("a head is 16 wide");
-                for i in 0..HEAD {
-                    let both = scale * q[i] + plain * g[i];
-                    let apart = along * (r[i] - s[i]);
-                    dr[i] += both + apart;
-                    ds[i] += both - apart;
-                    dq[i] += scale * (r[i] + s[i]);
-                }
-                if is_body {
-                    let token = row - input.first_body();
-                    let (t, y, _) = &messages[entry - list.body_from];
-                    let db = input.message_gradient(group, token, value, lifted_g, (t, y), out);
-                    for axis in 0..3 {
-                        da[axis] += db[axis];
-                        out.projected[token][axis] += db[axis];
-                    }
-                }
-            }
-            if !mesh {
-                // The lift of the summed messages, and the projection of r.
-                let dw = &mut out.parameters[..HEAD * 3];
-                for i in 0..HEAD {
-                    for axis in 0..3 {
-                        dw[3 * i + axis] += body_g[i] * turned[axis] + r[i] * da[axis];
-                    }
-                }
-                lift(w, da, &mut dr);
-            }
-            let row = &mut out.tokens[receiver * GROUP_WIDTH + own..][..HEAD];
-            for i in 0..HEAD {
-                row[i] += dr[i];
-            }
-            let row = &mut out.tokens[(input.receivers + receiver) * GROUP_WIDTH + own..][..HEAD];
-            for i in 0..HEAD {
-                row[i] += dq[i];
+                messages.push(y);
             }
         }
+        d_weight[list.count * GROUPS..].fill(T::zero());
+        list.distance[list.count * GROUPS..].fill(T::one());
+        let (d_weights, _) = d_weight.as_chunks_mut::<LANES>();
+        let (weights, _) = list.weight.as_chunks::<LANES>();
+        let (values, _) = list.value.as_chunks::<LANES>();
+        let (distances, _) = list.distance.as_chunks::<LANES>();
+        let (alignments, _) = list.alignment.as_chunks::<LANES>();
+        let mut mean = [T::zero(); LANES];
+        for ((d_weight, weight), distance) in d_weights.iter_mut().zip(weights).zip(distances) {
+            *d_weight = std::array::from_fn(|lane| d_weight[lane] / distance[lane]);
+            add_product(&mut mean, weight, d_weight);
+        }
+        let mean = std::hint::black_box(tile(fold(mean)));
+        let outputs = (scales.as_chunks_mut::<LANES>().0.iter_mut())
+            .zip(pulls.as_chunks_mut::<LANES>().0.iter_mut());
+        let inputs = (d_weights.iter().zip(weights)).zip(values);
+        for (((scales, pulls), ((d_weight, weight), value)), (distance, alignment)) in
+            outputs.zip(inputs).zip(distances.iter().zip(alignments))
+        {
+            let soft = distance.map(|distance| distance + T::of(2.0 * EPSILON));
+            let scale: [T; LANES] = std::array::from_fn(|lane| {
+                weight[lane] * (d_weight[lane] - mean[lane]) * two_kappa / soft[lane]
+            });
+            // Both the logit and the message fall with the distance; below its floor it is constant.
+            *pulls = std::array::from_fn(|lane| {
+                let distance = distance[lane];
+                let falls =
+                    -(scale[lane] * alignment[lane] / soft[lane] + value[lane] * d_weight[lane]);
+                let floored = distance * distance <= T::of(SQUARED_DISTANCE_FLOOR);
+                if floored { T::zero() } else { falls / distance }
+            });
+            *scales = scale;
+        }
+        let [scale_tiles, pull_tiles, value_tiles] = &mut tiles;
+        tile_all(&scales, scale_tiles);
+        tile_all(&pulls, pull_tiles);
+        tile_all(&list.value[..list.body_from * GROUPS], value_tiles);
+        value_tiles.resize(scale_tiles.len(), [T::zero(); LANES]);
+        let (mut dr, mut dq) = (zeros(), zeros());
+        for vector in 0..dr.len() {
+            let (r, q, g) = (&r[vector], &q[vector], &g[vector]);
+            let (mut d_r, mut d_q) = (dr[vector], dq[vector]);
+            for (entry, &row) in list.rows.iter().enumerate() {
+                let (scale, pull) = (&scale_tiles[entry], &pull_tiles[entry]);
+                let plain = &value_tiles[entry];
+                let s = &input.heads(row, kind)[vector];
+                let ds = heads_mut(&mut out.senders[(row - 2 * input.receivers) * KIND_WIDTH..]);
+                let mut d_s = ds[vector];
+                for lane in 0..LANES {
+                    let both = scale[lane] * q[lane] + plain[lane] * g[lane];
+                    let apart = pull[lane] * (r[lane] - s[lane]);
+                    d_r[lane] += both + apart;
+                    d_s[lane] += both - apart;
+                    d_q[lane] += scale[lane] * (r[lane] + s[lane]);
+                }
+                ds[vector] = d_s;
+            }
+            (dr[vector], dq[vector]) = (d_r, d_q);
+        }
+        if list.body_from < list.count {
+            // d(Wᵀ y), turned into the tokens' frames.
+            d_turns.clear();
+            for entry in list.body_from..list.count {
+                let token = list.rows[entry] - input.first_body();
+                let value = four(&list.value, entry);
+                let scaled = std::array::from_fn(|axis| {
+                    std::array::from_fn(|group| lifted_g[axis][group] * value[group])
+                });
+                d_turns.push(turn(&input.edges.rotations[token], scaled).map(tile));
+            }
+            let mut da = [[T::zero(); GROUPS]; 3];
+            for (entry, (t, dz)) in (list.body_from..).zip(turns.iter().zip(&d_turns)) {
+                let token = list.rows[entry] - input.first_body();
+                let y = &messages[entry - list.body_from];
+                let db = input.message_gradient(token, (t, dz, y), lifts);
+                for axis in 0..3 {
+                    for group in 0..GROUPS {
+                        da[axis][group] += db[axis][group];
+                        out.projected[token][axis][group] += db[axis][group];
+                    }
+                }
+            }
+            // The lift of the summed messages, and the projection of r.
+            let (turned, da) = (tiled(turned), tiled(da));
+            for axis in 0..3 {
+                let (turned, da) = (&turned[axis], &da[axis]);
+                for ((dw, g), r) in lifts.w[axis].iter_mut().zip(&body_g).zip(r) {
+                    add_product(dw, g, turned);
+                    add_product(dw, r, da);
+                }
+            }
+            lift(w, &da, &mut dr);
+        }
+        *heads_mut(&mut out.r[offset * KIND_WIDTH..]) = dr;
+        *heads_mut(&mut out.q[offset * KIND_WIDTH..]) = dq;
     }
 }
 
 impl<T: Real> Input<'_, T> {
     /// Back through a body entry's message: adds to the gradients of W, M W and c, returns that of
-    /// `Wᵀ(r + s)`.
+    /// `Wᵀ(r + s)`. `dz` is the gradient of `Wᵀ y`.
     #[inline(always)]
     fn message_gradient(
         &self,
-        group: usize,
         token: usize,
-        value: T,
-        lifted_g: [T; 3],
-        (t, y): (&[T; 3], &[T; HEAD]),
-        out: &mut Output<T>,
-    ) -> [T; 3] {
-        let rotation = &self.edges.rotations[token];
-        let Group { w, mw, .. } = &self.groups[group];
-        // d(Wᵀ y), turned into the token's frame.
-        let dz = turn(rotation, lifted_g.map(|x| x * value));
-        let mut dy = [T::zero(); HEAD];
-        lift(w, dz, &mut dy);
-        for i in 0..HEAD {
-            dy[i] = if y[i] > T::zero() { dy[i] } else { T::zero() };
-        }
-        for axis in 0..3 {
-            for i in 0..HEAD {
-                out.w[axis][i] += y[i] * dz[axis];
-                out.mw[axis][i] += dy[i] * t[axis];
+        (t, dz, y): (&Turn<T>, &Turn<T>, &Heads<T>),
+        lifts: &mut Lifts<T>,
+    ) -> [Four<T>; 3] {
+        let mut dy = zeros();
+        lift(&self.groups.w, dz, &mut dy);
+        for ((dy, y), c) in dy.iter_mut().zip(y).zip(&mut lifts.c) {
+            for lane in 0..LANES {
+                dy[lane] = if y[lane] > T::zero() {
+                    dy[lane]
+                } else {
+                    T::zero()
+                };
+                c[lane] += dy[lane];
             }
         }
-        for i in 0..HEAD {
-            out.c[i] += dy[i];
+        for axis in 0..3 {
+            for vector in 0..y.len() {
+                let (y, dy) = (&y[vector], &dy[vector]);
+                add_product(&mut lifts.w[axis][vector], y, &dz[axis]);
+                add_product(&mut lifts.mw[axis][vector], dy, &t[axis]);
+            }
         }
-        turn_back(rotation, project(mw, &dy))
+        turn_back(&self.edges.rotations[token], project(&self.groups.mw, &dy))
+    }
+
+    /// Back through the body tokens' projections and the product M W.
+    #[inline(always)]
+    fn finish(&self, out: &mut PartGradient<T>, lifts: &mut Lifts<T>) {
+        let first = self.edges.senders;
+        for (token, d) in out.projected.iter().enumerate() {
+            let ds = heads_mut(&mut out.senders[(first + token) * KIND_WIDTH..]);
+            let d = tiled(*d);
+            lift(&self.groups.w, &d, ds);
+            let s = self.heads(self.first_body() + token, 0);
+            for axis in 0..3 {
+                for (dw, s) in lifts.w[axis].iter_mut().zip(s) {
+                    add_product(dw, s, &d[axis]);
+                }
+            }
+        }
+        let all = out.parameters.chunks_exact_mut(GROUP_PARAMETERS);
+        for (group, out) in all.enumerate() {
+            let [w, m, _] = split(&self.groups.parameters[group * GROUP_PARAMETERS..]);
+            let (d_w, rest) = out.split_at_mut(HEAD * 3);
+            let (d_m, d_c) = rest.split_at_mut(HEAD * HEAD);
+            for channel in 0..HEAD {
+                let at = channel * GROUPS + group;
+                d_c[channel] = lifts.c.as_flattened()[at];
+                for axis in 0..3 {
+                    d_w[3 * channel + axis] += lifts.w[axis].as_flattened()[at];
+                    let mw = lifts.mw[axis].as_flattened()[at];
+                    for inner in 0..HEAD {
+                        d_m[channel * HEAD + inner] += mw * w[3 * inner + axis];
+                        d_w[3 * inner + axis] += mw * m[channel * HEAD + inner];
+                    }
+                }
+            }
+        }
     }
 }
 
 simd_dispatch!(fn run_forward => forward_rows<T>(input: &Input<T>, first: usize, out: &mut [T]));
-simd_dispatch!(fn run_backward => backward_group<T>(input: &Input<T>, group: usize, grad: &[T], out: &mut Output<T>));
+simd_dispatch!(fn run_backward => backward_part<T>(input: &Input<T>, part: (usize, usize), grad: &[T], out: &mut PartGradient<T>, lifts: &mut Lifts<T>));
 
 impl Attention {
-    fn body_projected<T: Real>(&self, tokens: &[T], groups: &[Group<T>]) -> Vec<[[T; 3]; GROUPS]> {
-        let first = 2 * self.edges.mesh.rows() + self.edges.senders;
-        tokens[first * WIDTH..]
-            .chunks_exact(WIDTH)
-            .map(|row| {
-                std::array::from_fn(|group| project(&groups[group].w, head(row, 2 * group * HEAD)))
-            })
-            .collect()
-    }
-
     fn check(&self, tokens: &Layout, parameters: &Layout) -> Result<()> {
         let (rows, width) = tokens.shape().dims2()?;
         let edges = &self.edges;
@@ -669,23 +828,34 @@ impl Attention {
         Ok(())
     }
 
-    /// Rows of the token matrix.
-    fn rows(&self) -> usize {
-        2 * self.edges.mesh.rows() + self.edges.senders + self.edges.rotations.len()
-    }
-
-    /// Attention's output `[receivers, 128]` from tokens and parameters of [`attend`].
-    pub(super) fn forward<T: Real>(&self, tokens: &[T], parameters: &[T], out: &mut [T]) {
-        let groups = Group::all(parameters);
-        let projected = self.body_projected(tokens, &groups);
-        let input = Input {
+    fn input<'a, T: Real>(
+        &'a self,
+        tokens: &'a [T],
+        groups: &'a Groups<'a, T>,
+        body_projected: &'a [[Four<T>; 3]],
+    ) -> Input<'a, T> {
+        Input {
             edges: &self.edges,
             tokens,
             receivers: self.edges.mesh.rows(),
-            groups: &groups,
-            body_projected: &projected,
+            groups,
+            body_projected,
             own_slots: self.own_slots,
-        };
+        }
+    }
+
+    fn body_projected<T: Real>(&self, tokens: &[T], groups: &Groups<T>) -> Vec<[Four<T>; 3]> {
+        let first = 2 * self.edges.mesh.rows() + self.edges.senders;
+        let tokens = tokens[first * WIDTH..].chunks_exact(WIDTH);
+        tokens.map(|row| project(&groups.w, heads(row))).collect()
+    }
+
+    /// Attention's output `[receivers, 128]` from tokens and parameters of [`attend`]; the channels of
+    /// tokens and output are in the order of the passes.
+    pub(super) fn forward<T: Real>(&self, tokens: &[T], parameters: &[T], out: &mut [T]) {
+        let groups = Groups::new(parameters);
+        let projected = self.body_projected(tokens, &groups);
+        let input = self.input(tokens, &groups, &projected);
         let blocks = out.chunks_mut(BLOCK_ROWS * WIDTH).enumerate().collect();
         for_all(blocks, |(index, out): (usize, &mut [T])| {
             out.fill(T::zero());
@@ -693,97 +863,110 @@ impl Attention {
         });
     }
 
-    /// Gradients of tokens and parameters; the groups are independent, so they run side by side.
+    /// Gradients of tokens and parameters, as [`Attention::forward`] has them.
     pub(super) fn backward<T: Real>(
         &self,
         tokens: &[T],
         parameters: &[T],
         grad: &[T],
-        gradients: &mut [GroupGradient<T>; GROUPS],
+        gradient: &mut Gradient<T>,
     ) {
-        let groups = Group::all(parameters);
+        let groups = Groups::new(parameters);
         let projected = self.body_projected(tokens, &groups);
-        let receivers = self.edges.mesh.rows();
-        let input = Input {
-            edges: &self.edges,
-            tokens,
-            receivers,
-            groups: &groups,
-            body_projected: &projected,
-            own_slots: self.own_slots,
-        };
-        let first = 2 * receivers + self.edges.senders;
-        let pieces = gradients.iter_mut().enumerate().collect();
-        for_all(pieces, |(group, out): (usize, &mut GroupGradient<T>)| {
+        let input = self.input(tokens, &groups, &projected);
+        let rows = part_rows(input.receivers);
+        let senders = self.edges.senders + self.edges.rotations.len();
+        let mut pieces = Vec::new();
+        for (part, kinds) in gradient.parts.iter_mut().enumerate() {
+            let first = (part * rows).min(input.receivers);
+            let last = (first + rows).min(input.receivers);
+            for (kind, out) in kinds.iter_mut().enumerate() {
+                pieces.push((first, kind, &grad[first * WIDTH..last * WIDTH], out));
+            }
+        }
+        for_all(pieces, |(first, kind, grad, out)| {
             let zeroed = |buffer: &mut Vec<T>, len| {
                 buffer.clear();
                 buffer.resize(len, T::zero());
             };
-            zeroed(&mut out.tokens, self.rows() * GROUP_WIDTH);
-            zeroed(&mut out.parameters, GROUP_PARAMETERS);
-            out.projected.clear();
-            out.projected.resize(projected.len(), [T::zero(); 3]);
-            let mut output = Output {
-                tokens: &mut out.tokens,
-                parameters: &mut out.parameters,
-                w: [[T::zero(); HEAD]; 3],
-                mw: [[T::zero(); HEAD]; 3],
-                c: [T::zero(); HEAD],
-                projected: &mut out.projected,
-            };
-            run_backward(&input, group, grad, &mut output);
-            let Output { w: d_w, mw, c, .. } = output;
-            let Group { w, m, .. } = &groups[group];
-            let (d_rows, rest) = out.parameters.split_at_mut(HEAD * 3);
-            let (d_m, d_c) = rest.split_at_mut(HEAD * HEAD);
-            d_c.copy_from_slice(&c);
-            // Projections Wᵀ s of the body tokens.
-            for (token, d) in out.projected.iter().enumerate() {
-                lift(
-                    w,
-                    *d,
-                    &mut out.tokens[(first + token) * GROUP_WIDTH..][..HEAD],
-                );
-                let s = head(input.row(first + token), group * GROUP_WIDTH);
-                for i in 0..HEAD {
-                    for axis in 0..3 {
-                        d_rows[3 * i + axis] += s[i] * d[axis];
-                    }
-                }
+            zeroed(&mut out.r, grad.len() / KINDS);
+            zeroed(&mut out.q, grad.len() / KINDS);
+            zeroed(&mut out.senders, senders * KIND_WIDTH);
+            if kind == 0 {
+                zeroed(&mut out.parameters, GROUPS * GROUP_PARAMETERS);
+                out.projected.clear();
+                out.projected
+                    .resize(projected.len(), [[T::zero(); GROUPS]; 3]);
             }
-            // The product M W.
-            for axis in 0..3 {
-                for row in 0..HEAD {
-                    d_rows[3 * row + axis] += d_w[axis][row];
-                    for inner in 0..HEAD {
-                        d_m[row * HEAD + inner] += mw[axis][row] * w[axis][inner];
-                        d_rows[3 * inner + axis] += mw[axis][row] * m[row * HEAD + inner];
-                    }
-                }
+            let mut lifts = Lifts {
+                w: [zeros(); 3],
+                mw: [zeros(); 3],
+                c: zeros(),
+            };
+            run_backward(&input, (first, kind), grad, out, &mut lifts);
+            if kind == 0 {
+                input.finish(out, &mut lifts);
             }
         });
     }
 }
 
-/// Rows of the token matrix's gradient `[rows, 128]`, from row `first` on, out of the groups'.
+/// Receivers of a part.
+fn part_rows(receivers: usize) -> usize {
+    receivers.div_ceil(PARTS).max(1)
+}
+
+/// Rows of the token matrix's gradient `[rows, 128]`, from row `first` on, in the order of the passes.
 pub(super) fn token_gradient<T: Real>(
-    gradients: &[GroupGradient<T>; GROUPS],
+    gradient: &Gradient<T>,
+    receivers: usize,
     first: usize,
     out: &mut [T],
 ) {
-    for (offset, out) in out.chunks_exact_mut(WIDTH).enumerate() {
-        let row = (first + offset) * GROUP_WIDTH;
-        for (gradient, out) in gradients.iter().zip(out.chunks_exact_mut(GROUP_WIDTH)) {
-            out.copy_from_slice(&gradient.tokens[row..row + GROUP_WIDTH]);
+    let part_rows = part_rows(receivers);
+    for (row, out) in (first..).zip(out.chunks_exact_mut(WIDTH)) {
+        for (kind, out) in out.chunks_exact_mut(KIND_WIDTH).enumerate() {
+            if row < 2 * receivers {
+                let receiver = row % receivers;
+                let part = &gradient.parts[receiver / part_rows][kind];
+                let from = if row < receivers { &part.r } else { &part.q };
+                out.copy_from_slice(&from[receiver % part_rows * KIND_WIDTH..][..KIND_WIDTH]);
+            } else {
+                let at = (row - 2 * receivers) * KIND_WIDTH;
+                let [one, other] = [0, 1].map(|part| &gradient.parts[part][kind].senders[at..]);
+                for ((out, &x), &y) in out.iter_mut().zip(one).zip(other) {
+                    *out = x + y;
+                }
+            }
         }
     }
 }
 
 /// Gradient of the parameters, groups one behind the other.
-pub(super) fn parameter_gradient<T: Real>(gradients: &[GroupGradient<T>; GROUPS], out: &mut [T]) {
-    for (gradient, out) in gradients.iter().zip(out.chunks_exact_mut(GROUP_PARAMETERS)) {
-        out.copy_from_slice(&gradient.parameters);
+pub(super) fn parameter_gradient<T: Real>(gradient: &Gradient<T>, out: &mut [T]) {
+    out.fill(T::zero());
+    for [world, _] in &gradient.parts {
+        for (out, &d) in out.iter_mut().zip(&world.parameters) {
+            *out += d;
+        }
     }
+}
+
+/// Rows with their channels in the order of the passes, or (`back`) out of it.
+fn reordered<T: Real>(rows: &[T], back: bool) -> Vec<T> {
+    let mut out = vec![T::zero(); rows.len()];
+    for (row, out) in rows.chunks_exact(WIDTH).zip(out.chunks_exact_mut(WIDTH)) {
+        for channel in 0..WIDTH {
+            let place = place_of(channel);
+            let (from, to) = if back {
+                (place, channel)
+            } else {
+                (channel, place)
+            };
+            out[to] = row[from];
+        }
+    }
+    out
 }
 
 impl CustomOp2 for Attention {
@@ -802,7 +985,9 @@ impl CustomOp2 for Attention {
         by_dtype!(super::dtype_of(s1), T => {
             let receivers = self.edges.mesh.rows();
             let mut out = vec![<T as num_traits::Zero>::zero(); receivers * WIDTH];
-            self.forward::<T>(operand(s1, l1)?, operand(s2, l2)?, &mut out);
+            let tokens = reordered::<T>(operand(s1, l1)?, false);
+            self.forward::<T>(&tokens, operand(s2, l2)?, &mut out);
+            let out = reordered(&out, true);
             Ok((<T as candle_core::WithDType>::to_cpu_storage_owned(out), (receivers, WIDTH).into()))
         })
     }
@@ -815,12 +1000,15 @@ impl CustomOp2 for Attention {
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>)> {
         by_dtype!(tokens.dtype(), T => {
-            let mut gradients: [GroupGradient<T>; GROUPS] = Default::default();
-            self.backward::<T>(&values(tokens)?, &values(parameters)?, &values(grad)?, &mut gradients);
+            let mut gradient = Gradient::default();
+            let read = reordered::<T>(&values(tokens)?, false);
+            let g = reordered::<T>(&values(grad)?, false);
+            self.backward::<T>(&read, &values(parameters)?, &g, &mut gradient);
             let mut d_tokens = vec![<T as num_traits::Zero>::zero(); tokens.elem_count()];
-            token_gradient(&gradients, 0, &mut d_tokens);
+            token_gradient(&gradient, self.edges.mesh.rows(), 0, &mut d_tokens);
+            let d_tokens = reordered(&d_tokens, true);
             let mut d_parameters = vec![<T as num_traits::Zero>::zero(); parameters.elem_count()];
-            parameter_gradient(&gradients, &mut d_parameters);
+            parameter_gradient(&gradient, &mut d_parameters);
             let device = tokens.device();
             Ok((
                 Some(Tensor::from_vec(d_tokens, tokens.shape(), device)?),

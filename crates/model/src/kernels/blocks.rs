@@ -271,7 +271,7 @@ impl Blocks {
         let Workshop {
             blocks,
             gradients: tiles,
-            groups,
+            attention: d_attention,
             d_attended,
         } = workshop;
         tiles.resize_with(plan.tiles.len(), TileGradient::default);
@@ -344,10 +344,10 @@ impl Blocks {
                     gradient.r.clear();
                 }
             });
-            attention.backward(tokens, weights.groups(), d_attended, groups);
+            attention.backward(tokens, weights.groups(), d_attended, d_attention);
             let pieces = tiles.iter_mut().zip(&plan.tiles).collect();
             for_all(pieces, |(gradient, rows)| {
-                gradient.send(weights, groups, rows, plan.patches)
+                gradient.send(weights, d_attention, rows, plan.patches)
             });
 
             let mut d_block = &mut d_parameters[index * BLOCK_PARAMETERS..][..BLOCK_PARAMETERS];
@@ -357,7 +357,7 @@ impl Blocks {
             for tile in tiles.iter() {
                 add(&tile.norms, norms);
             }
-            parameter_gradient(groups, &mut d_block[GROUPS_START..OUTPUT.start]);
+            parameter_gradient(d_attention, &mut d_block[GROUPS_START..OUTPUT.start]);
             let mut rest = d_block;
             let mut start = 0;
             let mut jobs = Vec::new();
@@ -407,6 +407,7 @@ impl Blocks {
                         }
                     }
                 }
+                layer.put_back(dw);
             });
         }
         let mut d_tokens = Vec::with_capacity((2 * plan.rows + plan.patches) * WIDTH);

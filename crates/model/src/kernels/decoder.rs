@@ -15,9 +15,7 @@ use std::sync::OnceLock;
 
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
 
-use super::product::{
-    add, add_outer, add_rows, fill_rows, mask, push_transposed, relu, rows_times,
-};
+use super::product::{add, add_outer, add_rows, fill_rows, mask, relu, rows_times, transposed};
 use super::{Real, by_dtype, for_all, for_all_with, operand, simd_dispatch, values};
 
 const EPSILON: f64 = 1e-7;
@@ -112,13 +110,6 @@ fn split<T>(layer: &[T], out: usize) -> (&[T], &[T]) {
 fn affine<T: Real>(x: &[T], transposed: &[T], bias: &[T], y: &mut [T]) {
     fill_rows(bias, y);
     rows_times(x, transposed, bias.len(), y, true);
-}
-
-/// `Wᵀ` of a layer.
-fn transposed<T: Real>(weight: &[T], inner: usize) -> Vec<T> {
-    let mut all = Vec::new();
-    push_transposed(weight, inner, &mut all);
-    all
 }
 
 impl Decoder {

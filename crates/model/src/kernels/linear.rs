@@ -5,9 +5,7 @@
 
 use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor};
 
-use super::product::{
-    add_rows, fill_rows, mask, multiply_columns, push_transposed, relu, rows_times,
-};
+use super::product::{add_rows, fill_rows, mask, multiply_columns, relu, rows_times, transposed};
 use super::{Real, by_dtype, for_all, operand, values};
 
 /// Rows of one block of the forward product. Fixed, so that results do not
@@ -81,8 +79,7 @@ fn forward<T: Real>(
     if y.is_empty() {
         return y;
     }
-    let mut transposed = Vec::new();
-    push_transposed(weight, inner, &mut transposed);
+    let transposed = transposed(weight, inner);
     let x = x.chunks(BLOCK_ROWS * inner);
     let blocks = x.zip(y.chunks_mut(BLOCK_ROWS * out)).collect();
     for_all(blocks, |(x, y): (&[T], &mut [T])| {

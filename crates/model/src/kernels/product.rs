@@ -83,11 +83,9 @@ pub(super) fn multiply_columns<T: Real>(
     multiply(count, inner, rows, dw, false, (g, out, 1), (x, 1, inner));
 }
 
-/// `Wᵀ` of `w [out, in]`, behind what `to` holds already.
-pub(super) fn push_transposed<T: Real>(w: &[T], inner: usize, to: &mut Vec<T>) {
-    let (out, start) = (w.len() / inner, to.len());
-    to.resize(start + w.len(), T::zero());
-    let to = &mut to[start..];
+/// `to = wᵀ` for `w [out, in]`.
+pub(super) fn transpose<T: Real>(w: &[T], inner: usize, to: &mut [T]) {
+    let out = w.len() / inner;
     // In squares that stay in the cache.
     const SIDE: usize = 16;
     for row in (0..out).step_by(SIDE) {
@@ -99,6 +97,13 @@ pub(super) fn push_transposed<T: Real>(w: &[T], inner: usize, to: &mut Vec<T>) {
             }
         }
     }
+}
+
+/// `wᵀ` for `w [out, in]`.
+pub(super) fn transposed<T: Real>(w: &[T], inner: usize) -> Vec<T> {
+    let mut to = vec![T::zero(); w.len()];
+    transpose(w, inner, &mut to);
+    to
 }
 
 /// Rows become copies of the bias, which a product is added to.

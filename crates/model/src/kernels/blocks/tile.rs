@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::super::Real;
-use super::super::attention::{GROUPS, GroupGradient, token_gradient};
+use super::super::attention::{Gradient, token_gradient};
 use super::super::product::{add, mask, relu, sum};
 use super::weights::{
     FEED, MEMORY, OUTPUT, QUERY, RECEIVER, RECEIVER_OUT, SENDER, SENDER_OUT, Weights,
@@ -156,20 +156,20 @@ impl<T: Real> TileGradient<T> {
     pub(super) fn send(
         &mut self,
         weights: &Weights<T>,
-        attention: &[GroupGradient<T>; GROUPS],
+        attention: &Gradient<T>,
         rows: &Range<usize>,
         patches: usize,
     ) {
         let mut take = |first: usize, to: &mut [T]| {
             let from = fit(&mut self.scratch, to.len());
-            token_gradient(attention, first, from);
+            token_gradient(attention, patches, first, from);
             add(from, to);
         };
         take(2 * patches + rows.start, &mut self.s);
         if !self.r.is_empty() {
             take(rows.start, &mut self.r);
             let q = fit(&mut self.q, self.r.len());
-            token_gradient(attention, patches + rows.start, q);
+            token_gradient(attention, patches, patches + rows.start, q);
             weights.backward(RECEIVER, &self.r, &mut self.z, true);
             weights.backward(QUERY, q, &mut self.z, true);
             let receiver = fit(&mut self.receiver, self.r.len());

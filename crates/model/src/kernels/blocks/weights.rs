@@ -1,15 +1,29 @@
 //! The blocks' weights: where each layer is, and products with it.
+//!
+//! r, q, s and the attention's output have their channels in the order of the attention's
+//! passes. So have the rows or columns of the layers that make or read them, once arranged.
 
 use std::sync::OnceLock;
 
-use super::super::Real;
-use super::super::attention::{GROUP_PARAMETERS, GROUPS, WIDTH};
+use super::super::attention::{GROUP_PARAMETERS, GROUPS, WIDTH, place_of};
 use super::super::layer_norm;
-use super::super::product::{fill_rows, push_transposed, rows_times};
+use super::super::product::{fill_rows, rows_times, transpose};
+use super::super::{Real, for_all};
 use super::workshop::Keep;
 
 /// Width of the feed-forward layer.
 pub(super) const HIDDEN: usize = 2 * WIDTH;
+
+/// Which side of a layer is in the order of the attention's passes.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Order {
+    /// Neither.
+    Plain,
+    /// What comes out.
+    Out,
+    /// What goes in.
+    In,
+}
 
 /// A layer's place among a block's weights.
 #[derive(Clone, Copy)]
@@ -18,20 +32,43 @@ pub(super) struct Layer {
     pub(super) inner: usize,
     pub(super) out: usize,
     pub(super) bias: bool,
+    order: Order,
 }
 
 impl Layer {
     pub(super) const fn len(self) -> usize {
         self.inner * self.out + if self.bias { self.out } else { 0 }
     }
+
+    /// The place of a weight's number once it is arranged: `place(row, column)`.
+    fn place(self, row: usize, column: usize) -> usize {
+        match self.order {
+            Order::Plain => row * self.inner + column,
+            Order::Out => place_of(row) * self.inner + column,
+            Order::In => row * self.inner + place_of(column),
+        }
+    }
+
+    /// Puts an arranged weight's gradient into the weight's own order.
+    pub(super) fn put_back<T: Real>(self, dw: &mut [T]) {
+        if self.order != Order::Plain {
+            let arranged = dw.to_vec();
+            for row in 0..self.out {
+                for column in 0..self.inner {
+                    dw[row * self.inner + column] = arranged[self.place(row, column)];
+                }
+            }
+        }
+    }
 }
 
-const fn layer(start: usize, inner: usize, out: usize, bias: bool) -> Layer {
+const fn layer(start: usize, inner: usize, out: usize, bias: bool, order: Order) -> Layer {
     Layer {
         start,
         inner,
         out,
         bias,
+        order,
     }
 }
 
@@ -40,18 +77,29 @@ const fn end(layer: Layer) -> usize {
 }
 
 // The order of a block's weights, as [`super::apply`] says.
-pub(super) const RECEIVER: Layer = layer(0, WIDTH, WIDTH, false);
-pub(super) const QUERY: Layer = layer(end(RECEIVER), WIDTH, WIDTH, false);
-pub(super) const SENDER: Layer = layer(end(QUERY), WIDTH, WIDTH, false);
-pub(super) const MEMORY: Layer = layer(end(SENDER), WIDTH, WIDTH, false);
+pub(super) const RECEIVER: Layer = layer(0, WIDTH, WIDTH, false, Order::Out);
+pub(super) const QUERY: Layer = layer(end(RECEIVER), WIDTH, WIDTH, false, Order::Out);
+pub(super) const SENDER: Layer = layer(end(QUERY), WIDTH, WIDTH, false, Order::Out);
+pub(super) const MEMORY: Layer = layer(end(SENDER), WIDTH, WIDTH, false, Order::Out);
 pub(super) const GROUPS_START: usize = end(MEMORY);
-pub(super) const OUTPUT: Layer =
-    layer(GROUPS_START + GROUPS * GROUP_PARAMETERS, WIDTH, WIDTH, true);
-pub(super) const RECEIVER_OUT: Layer = layer(end(OUTPUT), WIDTH, WIDTH, true);
-pub(super) const SENDER_OUT: Layer = layer(end(RECEIVER_OUT), WIDTH, WIDTH, true);
+pub(super) const OUTPUT: Layer = layer(
+    GROUPS_START + GROUPS * GROUP_PARAMETERS,
+    WIDTH,
+    WIDTH,
+    true,
+    Order::In,
+);
+pub(super) const RECEIVER_OUT: Layer = layer(end(OUTPUT), WIDTH, WIDTH, true, Order::In);
+pub(super) const SENDER_OUT: Layer = layer(end(RECEIVER_OUT), WIDTH, WIDTH, true, Order::In);
 pub(super) const FEED: [Layer; 2] = [
-    layer(end(SENDER_OUT), WIDTH, HIDDEN, true),
-    layer(end(SENDER_OUT) + (WIDTH + 1) * HIDDEN, HIDDEN, WIDTH, true),
+    layer(end(SENDER_OUT), WIDTH, HIDDEN, true, Order::Plain),
+    layer(
+        end(SENDER_OUT) + (WIDTH + 1) * HIDDEN,
+        HIDDEN,
+        WIDTH,
+        true,
+        Order::Plain,
+    ),
 ];
 pub(super) const NORMS_START: usize = end(FEED[1]);
 pub(super) const NORMS: usize = 4;
@@ -85,37 +133,61 @@ pub(super) const LAYERS: [(Which, Layer); 9] = [
     (Which::Fed, FEED[1]),
 ];
 
-/// Transposes of the blocks' weights, made once for as many calls as share them.
+/// All blocks' weights, arranged, and their transposes at the same places.
 #[derive(Debug, Default)]
-pub struct Transposes {
-    pub(super) f32s: OnceLock<Vec<f32>>,
-    pub(super) f64s: OnceLock<Vec<f64>>,
+pub(super) struct Arranged<T> {
+    all: Vec<T>,
+    transposed: Vec<T>,
 }
 
-/// One block's weights with their transposes at the same places.
+/// The blocks' weights arranged for the kernel, made once for as many calls as share them.
+#[derive(Debug, Default)]
+pub struct Transposes {
+    pub(super) f32s: OnceLock<Arranged<f32>>,
+    pub(super) f64s: OnceLock<Arranged<f64>>,
+}
+
+/// One block's arranged weights with their transposes at the same places.
 pub(super) struct Weights<'a, T> {
     pub(super) all: &'a [T],
     pub(super) transposed: &'a [T],
 }
 
-impl<'a, T: Keep> Weights<'a, T> {
-    /// Weights of all blocks, transposed now if nobody did yet.
-    pub(super) fn all(parameters: &'a [T], transposes: &'a Transposes) -> Vec<Self> {
-        let transposed = T::transposes(transposes).get_or_init(|| {
-            let mut transposed = Vec::with_capacity(parameters.len());
-            for (index, all) in parameters.chunks_exact(BLOCK_PARAMETERS).enumerate() {
+impl<T: Real> Arranged<T> {
+    fn new(parameters: &[T]) -> Self {
+        let mut all = parameters.to_vec();
+        let mut transposed = vec![T::zero(); parameters.len()];
+        let blocks = (parameters.chunks_exact(BLOCK_PARAMETERS))
+            .zip(all.chunks_exact_mut(BLOCK_PARAMETERS))
+            .zip(transposed.chunks_exact_mut(BLOCK_PARAMETERS));
+        for_all(
+            blocks.collect(),
+            |((weights, all), transposed): ((&[T], &mut [T]), &mut [T])| {
                 for (_, layer) in LAYERS {
-                    transposed.resize(index * BLOCK_PARAMETERS + layer.start, T::zero());
-                    let weight = &all[layer.start..][..layer.inner * layer.out];
-                    push_transposed(weight, layer.inner, &mut transposed);
+                    let at = layer.start..layer.start + layer.inner * layer.out;
+                    if layer.order != Order::Plain {
+                        let (weights, all) = (&weights[at.clone()], &mut all[at.clone()]);
+                        for row in 0..layer.out {
+                            for column in 0..layer.inner {
+                                all[layer.place(row, column)] = weights[row * layer.inner + column];
+                            }
+                        }
+                    }
+                    transpose(&all[at.clone()], layer.inner, &mut transposed[at]);
                 }
-            }
-            transposed.resize(parameters.len(), T::zero());
-            transposed
-        });
-        parameters
-            .chunks_exact(BLOCK_PARAMETERS)
-            .zip(transposed.chunks_exact(BLOCK_PARAMETERS))
+            },
+        );
+        Self { all, transposed }
+    }
+}
+
+impl<'a, T: Keep> Weights<'a, T> {
+    /// Weights of all blocks, arranged now if nobody did yet.
+    pub(super) fn all(parameters: &'a [T], transposes: &'a Transposes) -> Vec<Self> {
+        let arranged = T::transposes(transposes).get_or_init(|| Arranged::new(parameters));
+        let blocks = arranged.all.chunks_exact(BLOCK_PARAMETERS);
+        blocks
+            .zip(arranged.transposed.chunks_exact(BLOCK_PARAMETERS))
             .map(|(all, transposed)| Weights { all, transposed })
             .collect()
     }

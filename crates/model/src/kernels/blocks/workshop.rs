@@ -3,16 +3,16 @@
 use std::sync::{Mutex, OnceLock};
 
 use super::super::Real;
-use super::super::attention::{GROUPS, GroupGradient, WIDTH};
+use super::super::attention::{Gradient, WIDTH};
 use super::Blocks;
 use super::plan::Plan;
 use super::tile::{Tile, TileGradient};
-use super::weights::Transposes;
+use super::weights::{Arranged, Transposes};
 
 /// What a block keeps.
 #[derive(Default)]
 pub(super) struct Block<T> {
-    /// r, q, s one below the other, as the attention reads them.
+    /// r, q, s one below the other, as the attention reads them, channels in its order.
     pub(super) tokens: Vec<T>,
     /// The attention's output.
     pub(super) attended: Vec<T>,
@@ -25,7 +25,7 @@ pub(super) struct Block<T> {
 pub(super) struct Workshop<T> {
     pub(super) blocks: Vec<Block<T>>,
     pub(super) gradients: Vec<TileGradient<T>>,
-    pub(super) groups: [GroupGradient<T>; GROUPS],
+    pub(super) attention: Gradient<T>,
     pub(super) d_attended: Vec<T>,
 }
 
@@ -63,8 +63,8 @@ pub(super) trait Keep: Real {
     fn place(blocks: &Blocks) -> &Mutex<Option<Workshop<Self>>>;
     /// Workshops that nobody uses at the moment.
     fn shelf() -> &'static Mutex<Vec<Workshop<Self>>>;
-    /// The transposes of this type.
-    fn transposes(transposes: &Transposes) -> &OnceLock<Vec<Self>>;
+    /// The arranged weights of this type.
+    fn transposes(transposes: &Transposes) -> &OnceLock<Arranged<Self>>;
 }
 
 macro_rules! keep {
@@ -79,7 +79,7 @@ macro_rules! keep {
                 &SHELF
             }
 
-            fn transposes(transposes: &Transposes) -> &OnceLock<Vec<Self>> {
+            fn transposes(transposes: &Transposes) -> &OnceLock<Arranged<Self>> {
                 &transposes.$field
             }
         }
