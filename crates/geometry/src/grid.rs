@@ -160,6 +160,19 @@ impl Grid {
         Some(best)
     }
 
+    /// The nearest of the points that [`Grid::within`] finds and its squared distance; lowest index
+    /// on ties.
+    pub fn nearest_within(&self, p: [f32; 3], radius: f32) -> Option<(u32, f32)> {
+        let mut best = None;
+        self.visit_within(p, radius, |index, d2| {
+            best = match best {
+                Some((i, d)) if d < d2 || (d == d2 && i < index) => Some((i, d)),
+                _ => Some((index, d2)),
+            };
+        });
+        best
+    }
+
     /// Points with d² = 0 or d² < `radius`², sorted by index, with their squared
     /// distances. `out` is cleared first. A negative or NaN radius counts as 0.
     pub fn within(&self, p: [f32; 3], radius: f32, out: &mut Vec<(u32, f32)>) {
@@ -183,6 +196,11 @@ impl Grid {
 
     fn collect_within(&self, p: [f32; 3], radius: f32, out: &mut Vec<(u32, f32)>) {
         out.clear();
+        self.visit_within(p, radius, |index, d2| out.push((index, d2)));
+    }
+
+    /// Calls `found` with index and squared distance of each point of [`Grid::within`].
+    fn visit_within(&self, p: [f32; 3], radius: f32, mut found: impl FnMut(u32, f32)) {
         if self.is_empty() || !is_finite(&p) {
             return;
         }
@@ -200,7 +218,7 @@ impl Grid {
                 for slot in self.slots([from[0], y, z], to[0]) {
                     let d2 = distance2(p, self.points[slot]);
                     if d2 == 0.0 || d2 < radius2 {
-                        out.push((self.indices[slot], d2));
+                        found(self.indices[slot], d2);
                     }
                 }
             }
@@ -355,6 +373,12 @@ mod tests {
                 expected.truncate(16);
                 grid.k_nearest(p, 16, radius, &mut out);
                 assert_eq!(out, expected, "16 nearest within {radius} of {p:?}");
+                let nearest = grid.nearest_within(p, radius);
+                assert_eq!(
+                    nearest,
+                    expected.first().copied(),
+                    "nearest within {radius} of {p:?}"
+                );
             }
         }
     }

@@ -21,6 +21,7 @@ use crate::config::{BodySlots, ForceFrames, ModelConfig};
 use crate::error::{ModelError, Result};
 use crate::frames::{IDENTITY, Matrix, frame, rotate, unit};
 use crate::kernels::attention::Edges;
+use crate::kernels::for_all_with;
 
 /// Body vertices a patch sees at most.
 const BODY_SLOTS: usize = 16;
@@ -72,6 +73,24 @@ pub struct FrameGraph {
     pub own_patch: Vec<u32>,
 }
 
+/// Items that one thread derives at a time.
+const PIECE: usize = 64;
+
+/// `work(i)` of every `i < count`, with room for what a grid finds.
+fn each<R: Clone + Default + Send>(
+    count: usize,
+    work: impl Fn(usize, &mut Vec<(u32, f32)>) -> R + Send + Sync,
+) -> Vec<R> {
+    let mut all = vec![R::default(); count];
+    let pieces = all.chunks_mut(PIECE).enumerate().collect();
+    for_all_with(pieces, |found, (piece, all): (usize, &mut [R])| {
+        for (index, to) in (piece * PIECE..).zip(all) {
+            *to = work(index, found);
+        }
+    });
+    all
+}
+
 fn position(state: &StatePair) -> [f32; 3] {
     [state[0], state[1], state[2]]
 }
@@ -97,29 +116,30 @@ pub fn patch_means<const N: usize>(members: &Csr, states: &[[f32; N]]) -> Vec<[f
         .collect()
 }
 
-/// Body slots of every patch: `(token vertex, repeats)`.
-fn body_slots(config: &ModelConfig, centres: &[[f32; 3]], grid: &Grid) -> Vec<Vec<(u32, u32)>> {
-    let mut found = Vec::new();
-    centres
-        .iter()
-        .map(|&centre| match config.body_slots {
-            BodySlots::Nearest => {
-                grid.k_nearest(centre, BODY_SLOTS, config.body_radius, &mut found);
-                found.iter().map(|&(vertex, _)| (vertex, 1)).collect()
-            }
-            BodySlots::FirstByIndex => {
-                grid.within(centre, config.body_radius, &mut found);
-                found.truncate(BODY_SLOTS);
-                let repeats = 1 + (BODY_SLOTS - found.len()) as u32;
-                let count = |slot| if slot == 0 { repeats } else { 1 };
-                found
-                    .iter()
-                    .enumerate()
-                    .map(|(slot, &(vertex, _))| (vertex, count(slot)))
-                    .collect()
-            }
-        })
-        .collect()
+/// Body slots of a patch: `(token vertex, repeats)`.
+fn body_slots(
+    config: &ModelConfig,
+    centre: [f32; 3],
+    grid: &Grid,
+    found: &mut Vec<(u32, f32)>,
+) -> Vec<(u32, u32)> {
+    match config.body_slots {
+        BodySlots::Nearest => {
+            grid.k_nearest(centre, BODY_SLOTS, config.body_radius, found);
+            found.iter().map(|&(vertex, _)| (vertex, 1)).collect()
+        }
+        BodySlots::FirstByIndex => {
+            grid.within(centre, config.body_radius, found);
+            found.truncate(BODY_SLOTS);
+            let repeats = 1 + (BODY_SLOTS - found.len()) as u32;
+            let count = |slot| if slot == 0 { repeats } else { 1 };
+            found
+                .iter()
+                .enumerate()
+                .map(|(slot, &(vertex, _))| (vertex, count(slot)))
+                .collect()
+        }
+    }
 }
 
 /// Smallest and largest coordinates.
@@ -180,27 +200,19 @@ impl FrameGraph {
         let body: Vec<[f32; 3]> = step.body.iter().map(position).collect();
         let senders = patches.count() + outfit.attributes.len();
 
-        let (mut mesh, mut world) = (Vec::new(), Vec::new());
         let layer_grid = Grid::build(&centres, config.layer_radius);
-        let mut found = Vec::new();
-        for patch in 0..patches.count() {
+        let mesh = each(patches.count(), |patch, _| {
+            let attributes = outfit.patch_attributes.row(patch).iter();
+            let attributes = attributes.map(|&a| a + patches.count() as u32);
+            let neighbours = patches.neighbours.row(patch).iter().copied();
+            neighbours.chain(attributes).collect::<Vec<u32>>()
+        });
+        let world = each(patches.count(), |patch, found| {
             let neighbours = patches.neighbours.row(patch);
-            let attributes = outfit
-                .patch_attributes
-                .row(patch)
-                .iter()
-                .map(|&a| a + patches.count() as u32);
-            mesh.push(
-                neighbours
-                    .iter()
-                    .copied()
-                    .chain(attributes)
-                    .collect::<Vec<u32>>(),
-            );
-            layer_grid.within(centres[patch], config.layer_radius, &mut found);
+            layer_grid.within(centres[patch], config.layer_radius, found);
             let far = |&(q, _): &(u32, f32)| neighbours.binary_search(&q).is_err().then_some(q);
-            world.push(found.iter().filter_map(far).collect::<Vec<u32>>());
-        }
+            found.iter().filter_map(far).collect::<Vec<u32>>()
+        });
 
         // Body tokens, and anchors of patches and vertices.
         let has_body = !body.is_empty();
@@ -219,7 +231,9 @@ impl FrameGraph {
                 .map(|&normal| frame(normal, config.frame_axis))
                 .collect();
             let grid = Grid::build(&body, config.body_radius);
-            slots_of_patch = body_slots(config, &centres, &grid);
+            slots_of_patch = each(patches.count(), |patch, found| {
+                body_slots(config, centres[patch], &grid, found)
+            });
             body_rows = slots_of_patch
                 .iter()
                 .flatten()
@@ -231,28 +245,23 @@ impl FrameGraph {
                 .iter()
                 .map(|&vertex| body_frames[vertex as usize])
                 .collect();
-            let reach = |p: [f32; 3], found: &mut Vec<(u32, f32)>| {
-                grid.k_nearest(p, 1, config.body_radius, found);
-                found.first().map(|&(vertex, _)| vertex)
+            let reach = |p: [f32; 3]| {
+                (grid.nearest_within(p, config.body_radius)).map(|(vertex, _)| vertex)
             };
-            for (nearest, &centre) in patch_nearest.iter_mut().zip(&centres) {
-                *nearest = match reach(centre, &mut found) {
-                    Some(vertex) => Some((vertex, true)),
-                    None if config.distant_patch_body => {
-                        grid.nearest(centre).map(|(vertex, _)| (vertex, false))
-                    }
-                    None => None,
-                };
-            }
+            patch_nearest = each(patches.count(), |patch, _| match reach(centres[patch]) {
+                Some(vertex) => Some((vertex, true)),
+                None if config.distant_patch_body => {
+                    (grid.nearest(centres[patch])).map(|(vertex, _)| (vertex, false))
+                }
+                None => None,
+            });
             if config.patch_sight > 0.0 {
                 let bounds = bounds(&body);
-                for (sight, &centre) in patch_sight.iter_mut().zip(&centres) {
-                    *sight = see(&grid, &body, &bounds, centre, config.patch_sight);
-                }
+                patch_sight = each(patches.count(), |patch, _| {
+                    see(&grid, &body, &bounds, centres[patch], config.patch_sight)
+                });
             }
-            for (nearest, state) in vertex_nearest.iter_mut().zip(state) {
-                *nearest = reach(position(state), &mut found);
-            }
+            vertex_nearest = each(state.len(), |vertex, _| reach(position(&state[vertex])));
         }
         let body_tokens = body_rows.len();
         for (row, &vertex) in body_rows.iter().enumerate() {
@@ -371,28 +380,24 @@ fn decoder_slots(
     state: &[StatePair],
     centres: &[[f32; 3]],
 ) -> (Vec<Slot>, Vec<u32>) {
-    let (mut slots, mut offsets) = (Vec::new(), vec![0u32]);
-    let mut candidates: Vec<(f32, u32)> = Vec::new();
-    for (vertex, (&own, state)) in own_patch.iter().zip(state).enumerate() {
+    let of_vertex = each(own_patch.len(), |vertex, candidates| {
+        let (own, x) = (own_patch[vertex], position(&state[vertex]));
+        let neighbours = patches.neighbours.row(own as usize).iter();
         candidates.clear();
-        let x = position(state);
-        candidates.extend(
-            patches
-                .neighbours
-                .row(own as usize)
-                .iter()
-                .map(|&q| (distance(centres[q as usize], x), q)),
-        );
-        candidates.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        candidates.extend(neighbours.map(|&q| (q, distance(centres[q as usize], x))));
+        candidates.sort_unstable_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
         candidates.truncate(PATCHES_PER_VERTEX);
-        for &(from_vertex, q) in &candidates {
-            if q == own || from_vertex < distance(centres[q as usize], centres[own as usize]) {
-                slots.push(Slot {
-                    vertex: vertex as u32,
-                    patch: q,
-                });
-            }
+        let mut kept = [None; PATCHES_PER_VERTEX];
+        for (kept, &(q, from_vertex)) in kept.iter_mut().zip(candidates.iter()) {
+            let nearer = from_vertex < distance(centres[q as usize], centres[own as usize]);
+            *kept = (q == own || nearer).then_some(q);
         }
+        kept
+    });
+    let (mut slots, mut offsets) = (Vec::new(), vec![0u32]);
+    for (vertex, kept) in (0u32..).zip(of_vertex) {
+        let kept = kept.into_iter().flatten();
+        slots.extend(kept.map(|patch| Slot { vertex, patch }));
         offsets.push(slots.len() as u32);
     }
     (slots, offsets)

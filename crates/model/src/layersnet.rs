@@ -17,12 +17,17 @@ use crate::block::{Blocks, Tokens};
 use crate::config::{ModelConfig, OutputScale};
 use crate::error::Result;
 use crate::frames::transposed;
-use crate::graph::{Anchor, FrameGraph, turned};
+use crate::graph::{FrameGraph, turned};
 use crate::kernels::decoder::{Segments, decode};
+use crate::kernels::features::{FeatureRow, features};
+use crate::kernels::for_all;
 use crate::kernels::layer_norm::layer_norm;
 use crate::kernels::linear::{Activation, linear};
 use crate::kernels::row_map::{RowMap, map_rows};
 use crate::parameters::{Parameters, rotation_name};
+
+/// Decoder rows that one thread puts together at a time.
+const PIECE: usize = 512;
 
 /// Weight and bias of a linear layer.
 pub(crate) struct Affine {
@@ -115,10 +120,9 @@ pub struct LayersNet {
     blocks: Blocks,
     /// Decoder's rotation weight, transposed for a product: `[3, 128]`.
     rotation: Tensor,
-    /// First decoder layer on the 18 numbers it depends on, and the second: weight,
-    /// then bias.
-    decoder_hidden: [Tensor; 2],
-    decoder_last: Affine,
+    /// First decoder layer on the 18 numbers it depends on, and the others: weight,
+    /// then bias of each.
+    decoder: [Tensor; 2],
     /// Whether weights receive gradients.
     trainable: bool,
     dtype: DType,
@@ -198,9 +202,13 @@ impl LayersNet {
                 .matmul(&rotation)?,
         ];
         let second = source.affine("decode_head.proj.layers.1.0")?;
-        let joined = |weight: &Tensor, bias: &Tensor| -> Result<Tensor> {
-            Ok(Tensor::cat(&[&weight.flatten_all()?, bias], 0)?)
-        };
+        let last = source.affine("decode_head.proj.layers.2")?;
+        let others = [
+            &second.weight.flatten_all()?,
+            &second.bias,
+            &last.weight.flatten_all()?,
+            &last.bias,
+        ];
         Ok(Self {
             dtype: rotation.dtype(),
             config: config.clone(),
@@ -214,12 +222,11 @@ impl LayersNet {
             receiver_norm: source.norm("backbone.receiver_norm")?,
             sender_norm: source.norm("backbone.sender_norm")?,
             blocks: Blocks::new(config, source)?,
-            decoder_hidden: [
-                joined(&Tensor::cat(&columns, 1)?, &wide.bias)?,
-                joined(&second.weight, &second.bias)?,
+            decoder: [
+                Tensor::cat(&[&Tensor::cat(&columns, 1)?.flatten_all()?, &wide.bias], 0)?,
+                Tensor::cat(&others, 0)?,
             ],
             trainable: source.trainable,
-            decoder_last: source.affine("decode_head.proj.layers.2")?,
             rotation: rotation.t()?.contiguous()?,
         })
     }
@@ -311,56 +318,44 @@ impl LayersNet {
         // Three numbers per patch and per body vertex, turned into each receiver's frame.
         let embedding = blocks.last().expect("at least one block");
         let patch_numbers = crate::kernels::linear::product(embedding, &self.rotation)?;
-        let (mut relative, mut from_patch, mut from_body) = (Vec::new(), Vec::new(), Vec::new());
-        let mut push = |relative_state: StatePair, patch: u32, anchor: &Anchor| {
-            relative.push(relative_state);
-            from_patch.push(RowMap {
-                index: patch,
-                matrix: anchor.frame,
-                offset: [0.0; 3],
-            });
-            from_body.push(match anchor.row {
-                Some(row) => RowMap {
-                    index: row,
-                    matrix: anchor.frame,
-                    offset: [0.0; 3],
-                },
-                None => RowMap {
-                    index: 0,
-                    matrix: [[0.0; 3]; 3],
-                    offset: [0.0; 3],
-                },
-            });
+        let row = |index: usize| -> FeatureRow {
+            let (patch, anchor, state) = match graph.slots.get(index) {
+                Some(slot) => {
+                    let anchor = &graph.vertex_anchors[slot.vertex as usize];
+                    let vertex = &state[slot.vertex as usize];
+                    let patch = &graph.patch_states[slot.patch as usize];
+                    let relative = std::array::from_fn(|i| vertex[i] - patch[i]);
+                    (slot.patch, anchor, turned(&relative, anchor))
+                }
+                None => {
+                    let patch = index - pairs;
+                    let relative = graph.patch_on_body(patch, step);
+                    (patch as u32, &graph.patch_anchors[patch], relative)
+                }
+            };
+            FeatureRow {
+                state,
+                frame: anchor.frame,
+                patch,
+                body: anchor.row,
+            }
         };
-        for slot in &graph.slots {
-            let (state, patch) = (
-                &state[slot.vertex as usize],
-                &graph.patch_states[slot.patch as usize],
-            );
-            let anchor = &graph.vertex_anchors[slot.vertex as usize];
-            let relative = std::array::from_fn(|i| state[i] - patch[i]);
-            push(turned(&relative, anchor), slot.patch, anchor);
-        }
-        for (patch, anchor) in graph.patch_anchors.iter().enumerate() {
-            push(graph.patch_on_body(patch, step), patch as u32, anchor);
-        }
-        let body_part = if graph.body_rows.is_empty() {
-            Tensor::zeros((pairs + patches, 3), self.dtype, &Device::Cpu)?
+        let mut rows = vec![FeatureRow::default(); pairs + patches];
+        for_all(
+            rows.chunks_mut(PIECE).enumerate().collect(),
+            |(piece, rows): (usize, &mut [FeatureRow])| {
+                for (index, to) in (piece * PIECE..).zip(rows) {
+                    *to = row(index);
+                }
+            },
+        );
+        let body_numbers = if graph.body_rows.is_empty() {
+            Tensor::zeros((0, 3), self.dtype, &Device::Cpu)?
         } else {
             let body_rows = encoded.narrow(0, patches, graph.body_rows.len())?;
-            map_rows(
-                &crate::kernels::linear::product(&body_rows, &self.rotation)?,
-                from_body,
-            )?
+            crate::kernels::linear::product(&body_rows, &self.rotation)?
         };
-        let features = Tensor::cat(
-            &[
-                &self.constant(&relative)?,
-                &map_rows(&patch_numbers, from_patch)?,
-                &body_part,
-            ],
-            1,
-        )?;
+        let features = features(&patch_numbers, &body_numbers, rows)?;
         // The last layer is linear, so the mean over a vertex's patches is taken before it;
         // a patch has one row of its own.
         let own_rows = (1..=patches).map(|patch| (pairs + patch) as u32);
@@ -368,9 +363,8 @@ impl LayersNet {
             offsets: graph.slot_offsets.iter().copied().chain(own_rows).collect(),
             means: vertices,
         };
-        let [first, second] = &self.decoder_hidden;
-        let hidden = decode(&features, first, second, segments, self.trainable)?;
-        let local = self.decoder_last.apply(&hidden, Activation::None)?;
+        let [first, others] = &self.decoder;
+        let local = decode(&features, first, others, segments, self.trainable)?;
         let columns = match self.config.output_scale {
             OutputScale::Velocity => 3,
             OutputScale::Acceleration => 6,

@@ -1,14 +1,14 @@
-//! The decoder's hidden layers, per row, and their mean per segment:
-//! `y_s = Σ_{i in s} relu(W₂ relu(W₁ x_i + b₁) + b₂) / (n_s + 1e-7)`.
+//! The decoder's layers: two per row, their mean per segment, the last on that:
+//! `m_s = Σ_{i in s} relu(W₂ relu(W₁ x_i + b₁) + b₂) / (n_s + 1e-7)`, `y_s = W₃ m_s + b₃`.
 //!
-//! `x [rows, in]`; W₁ and b₁ one behind the other, `[h · in + h]`, and W₂, b₂,
-//! `[h · h + h]`; `y [segments, h]`. Segment s is the rows `offsets[s]..offsets[s+1]`;
-//! those from `means` on are not divided, only summed. An empty segment gives 0.
-//! Rows go through in blocks of whole segments, so that what lies between the layers
-//! stays in the cache. Backward, with g_i the segment's gradient over its divisor
-//! where the outer ReLU passes: `dW₂ = Σ g_i h_iᵀ`, `dh_i = W₂ᵀ g_i` where the inner
-//! ReLU passes, `dW₁ = Σ dh_i x_iᵀ`, `dx_i = W₁ᵀ dh_i`; h is computed again, and
-//! which outer ReLUs pass is kept from the forward pass.
+//! `x [rows, in]`; W₁ and b₁ one behind the other, `[h · in + h]`, and W₂, b₂, W₃, b₃,
+//! `[h · h + h + out · h + out]`; `y [segments, out]`. Segment s is the rows
+//! `offsets[s]..offsets[s+1]`; those from `means` on are not divided, only summed. Of an
+//! empty segment m is 0. Rows go through in blocks of whole segments, so that what lies
+//! between the layers stays in the cache. Backward: `dW₃ = Σ g_s m_sᵀ`; with g_i = W₃ᵀ g_s
+//! over the segment's divisor where the outer ReLU passes: `dW₂ = Σ g_i h_iᵀ`,
+//! `dh_i = W₂ᵀ g_i` where the inner ReLU passes, `dW₁ = Σ dh_i x_iᵀ`, `dx_i = W₁ᵀ dh_i`;
+//! h is computed again; m and which outer ReLUs pass are kept from the forward pass.
 
 use std::ops::Range;
 use std::sync::OnceLock;
@@ -33,7 +33,7 @@ pub struct Segments {
     pub means: usize,
 }
 
-/// Both layers and the mean; see the module's formula. `keep` keeps what the
+/// All layers and the mean; see the module's formula. `keep` keeps what the
 /// backward pass needs.
 ///
 /// # Errors
@@ -47,7 +47,7 @@ pub fn decode(
 ) -> Result<Tensor> {
     let op = Decoder {
         segments,
-        passes: keep.then(OnceLock::new),
+        kept: keep.then(OnceLock::new),
     };
     x.contiguous()?
         .apply_op3(&first.contiguous()?, &second.contiguous()?, op)
@@ -55,8 +55,15 @@ pub fn decode(
 
 struct Decoder {
     segments: Segments,
+    kept: Option<OnceLock<Kept>>,
+}
+
+/// What the backward pass needs of the forward pass.
+struct Kept {
     /// Of each row and channel, whether the outer ReLU passes (1) or not (0).
-    passes: Option<OnceLock<Vec<u8>>>,
+    passes: Vec<u8>,
+    /// m of each segment.
+    means: CpuStorage,
 }
 
 /// `y += relu(x)` per row of x, and where it passes.
@@ -99,11 +106,19 @@ struct Sizes {
     rows: usize,
     inner: usize,
     hidden: usize,
+    out: usize,
 }
 
 /// Weight and bias of a layer of `out` rows.
 fn split<T>(layer: &[T], out: usize) -> (&[T], &[T]) {
     layer.split_at(layer.len() - out)
+}
+
+/// Weights and biases of the second and the last layer.
+fn split_second<T>(layers: &[T], sizes: Sizes) -> [&[T]; 4] {
+    let (second, last) = layers.split_at(sizes.hidden * (sizes.hidden + 1));
+    let ((w2, b2), (w3, b3)) = (split(second, sizes.hidden), split(last, sizes.out));
+    [w2, b2, w3, b3]
 }
 
 /// `out = b + x Wᵀ` with the layer's `Wᵀ`.
@@ -117,10 +132,16 @@ impl Decoder {
         let (rows, inner) = x.dims2()?;
         let hidden = first / (inner + 1);
         let offsets = &self.segments.offsets;
-        if first != hidden * (inner + 1) || second != hidden * (hidden + 1) || hidden == 0 {
+        let last = second.saturating_sub(hidden * (hidden + 1));
+        let out = last / (hidden + 1);
+        if first != hidden * (inner + 1)
+            || second != (hidden + out) * (hidden + 1)
+            || hidden == 0
+            || out == 0
+        {
             candle_core::bail!(
                 "decoder: rows of {inner}, layers of {first} and {second} numbers: expected \
-                 h·{inner} + h and h·h + h"
+                 h·{inner} + h and h·h + h + out·h + out"
             );
         }
         if offsets.first() != Some(&0)
@@ -140,6 +161,7 @@ impl Decoder {
             rows,
             inner,
             hidden,
+            out,
         })
     }
 
@@ -176,70 +198,71 @@ impl Decoder {
             rows,
             inner,
             hidden,
+            out,
         } = sizes;
-        let mut y = vec![T::zero(); (self.segments.offsets.len() - 1) * hidden];
-        let mut passes = vec![
-            0u8;
-            if self.passes.is_some() {
-                rows * hidden
-            } else {
-                0
-            }
-        ];
-        let blocks = self.blocks();
+        let segments = self.segments.offsets.len() - 1;
+        let mut y = vec![T::zero(); segments * out];
+        let mut means = vec![T::zero(); segments * hidden];
+        let kept = if self.kept.is_some() { hidden } else { 0 };
+        let mut passes = vec![0u8; rows * kept];
         let mut work = Vec::new();
-        let (mut y_left, mut passes_left) = (y.as_mut_slice(), passes.as_mut_slice());
-        for segments in blocks {
+        let mut left = (&mut y[..], &mut means[..], &mut passes[..]);
+        for segments in self.blocks() {
             let rows = self.rows(&segments);
-            let (y_block, rest) = y_left.split_at_mut(segments.len() * hidden);
-            y_left = rest;
-            let kept = rows.len() * hidden;
-            let (passes_block, rest) =
-                passes_left.split_at_mut(if passes_left.is_empty() { 0 } else { kept });
-            passes_left = rest;
-            work.push((segments, rows, y_block, passes_block));
+            let (y, y_left) = left.0.split_at_mut(segments.len() * out);
+            let (means, means_left) = left.1.split_at_mut(segments.len() * hidden);
+            let (passes, passes_left) = left.2.split_at_mut(rows.len() * kept);
+            left = (y_left, means_left, passes_left);
+            work.push((segments, rows, y, means, passes));
         }
-        let ((w1, b1), (w2, b2)) = (split(first, hidden), split(second, hidden));
-        let (w1, w2) = (transposed(w1, inner), transposed(w2, hidden));
+        let ((w1, b1), [w2, b2, w3, b3]) = (split(first, hidden), split_second(second, sizes));
+        let [w1, w2, w3] =
+            [(w1, inner), (w2, hidden), (w3, hidden)].map(|(w, inner)| transposed(w, inner));
         for_all_with(
             work,
-            |[one, two]: &mut [Vec<T>; 2], (segments, rows, y, passes)| {
+            |[one, two]: &mut [Vec<T>; 2], (segments, rows, y, means, passes)| {
                 one.resize(rows.len() * hidden, T::zero());
                 two.resize(rows.len() * hidden, T::zero());
                 affine(&x[rows.start * inner..rows.end * inner], &w1, b1, one);
                 relu(one);
                 affine(one, &w2, b2, two);
-                for (y, segment) in y.chunks_exact_mut(hidden).zip(segments) {
+                for (mean, segment) in means.chunks_exact_mut(hidden).zip(segments) {
                     let own = self.rows(&(segment..segment + 1));
                     let own = (own.start - rows.start) * hidden..(own.end - rows.start) * hidden;
                     let passes = match passes.is_empty() {
                         true => None,
                         false => Some(&mut passes[own.clone()]),
                     };
-                    run_add_relu(&two[own], y, passes);
-                    run_scale(y, self.divisor(segment));
+                    run_add_relu(&two[own], mean, passes);
+                    run_scale(mean, self.divisor(segment));
                 }
+                affine(means, &w3, b3, y);
             },
         );
-        if let Some(kept) = &self.passes {
-            kept.get_or_init(|| passes);
+        if let Some(kept) = &self.kept {
+            kept.get_or_init(|| Kept {
+                passes,
+                means: T::to_cpu_storage_owned(means),
+            });
         }
         y
     }
 
-    /// Gradients of x and of both layers. The blocks are dealt to [`LANES`] lanes, which sum the
+    /// Gradients of x and of all layers. The blocks are dealt to [`LANES`] lanes, which sum the
     /// layers' gradients apart.
     fn backward<T: Real>(
         &self,
         (x, first, second): (&[T], &[T], &[T]),
         sizes: Sizes,
         g: &[T],
-        passes: &[u8],
+        (passes, means): (&[u8], &[T]),
     ) -> [Vec<T>; 3] {
-        let Sizes { inner, hidden, .. } = sizes;
+        let Sizes {
+            inner, hidden, out, ..
+        } = sizes;
         let blocks = self.blocks();
         let mut dx = vec![T::zero(); x.len()];
-        let ((w1, b1), w2) = (split(first, hidden), split(second, hidden).0);
+        let ((w1, b1), [w2, _, w3, _]) = (split(first, hidden), split_second(second, sizes));
         let w1t = transposed(w1, inner);
         let mut lanes: Vec<[Vec<T>; 2]> = (0..LANES.min(blocks.len()))
             .map(|_| [first.len(), second.len()].map(|len| vec![T::zero(); len]))
@@ -254,8 +277,11 @@ impl Decoder {
         }
         for_all(work, |(blocks, mut dx, [d_first, d_second])| {
             let (dw1, db1) = d_first.split_at_mut(hidden * inner);
-            let (dw2, db2) = d_second.split_at_mut(hidden * hidden);
+            let (dw2, rest) = d_second.split_at_mut(hidden * hidden);
+            let (db2, rest) = rest.split_at_mut(hidden);
+            let (dw3, db3) = rest.split_at_mut(out * hidden);
             let (mut one, mut outer, mut inward) = (Vec::new(), Vec::new(), Vec::new());
+            let mut d_means = Vec::new();
             for segments in blocks {
                 let rows = self.rows(segments);
                 for buffer in [&mut one, &mut outer, &mut inward] {
@@ -264,9 +290,14 @@ impl Decoder {
                 let x = &x[rows.start * inner..rows.end * inner];
                 affine(x, &w1t, b1, &mut one);
                 relu(&mut one);
-                for segment in segments.clone() {
+                let g = &g[segments.start * out..segments.end * out];
+                let means = &means[segments.start * hidden..segments.end * hidden];
+                add_outer(g, means, hidden, dw3);
+                add_rows(g, db3);
+                d_means.resize(means.len(), T::zero());
+                rows_times(g, w3, hidden, &mut d_means, false);
+                for (segment, g) in segments.clone().zip(d_means.chunks_exact(hidden)) {
                     let factor = self.divisor(segment);
-                    let g = &g[segment * hidden..(segment + 1) * hidden];
                     for row in self.rows(&(segment..segment + 1)) {
                         let at = (row - rows.start) * hidden;
                         let passes = &passes[row * hidden..(row + 1) * hidden];
@@ -311,7 +342,7 @@ impl CustomOp3 for Decoder {
         let sizes = self.sizes(l1.shape(), l2.shape().elem_count(), l3.shape().elem_count())?;
         by_dtype!(super::dtype_of(s1), T => {
             let y = self.forward::<T>(operand(s1, l1)?, operand(s2, l2)?, operand(s3, l3)?, sizes);
-            let shape = (y.len() / sizes.hidden, sizes.hidden);
+            let shape = (y.len() / sizes.out, sizes.out);
             Ok((<T as candle_core::WithDType>::to_cpu_storage_owned(y), shape.into()))
         })
     }
@@ -325,12 +356,13 @@ impl CustomOp3 for Decoder {
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
         let sizes = self.sizes(x.shape(), first.elem_count(), second.elem_count())?;
-        let Some(passes) = self.passes.as_ref().and_then(OnceLock::get) else {
+        let Some(kept) = self.kept.as_ref().and_then(OnceLock::get) else {
             candle_core::bail!("decoder: made without keeping what the backward pass needs");
         };
         by_dtype!(x.dtype(), T => {
             let (input, w1, w2, g) = (values::<T>(x)?, values::<T>(first)?, values::<T>(second)?, values::<T>(grad)?);
-            let [dx, d_first, d_second] = self.backward::<T>((&input, &w1, &w2), sizes, &g, passes);
+            let kept = (kept.passes.as_slice(), kept.means.as_slice::<T>()?);
+            let [dx, d_first, d_second] = self.backward::<T>((&input, &w1, &w2), sizes, &g, kept);
             let device = x.device();
             Ok((
                 Some(Tensor::from_vec(dx, x.shape(), device)?),

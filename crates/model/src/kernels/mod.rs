@@ -10,6 +10,7 @@
 pub mod attention;
 pub mod blocks;
 pub mod decoder;
+pub mod features;
 pub mod layer_norm;
 pub mod linear;
 mod product;

@@ -1,4 +1,4 @@
-//! The decoder's hidden layers and the mean per segment.
+//! The decoder's layers and the mean per segment.
 
 use candle_core::{DType, Result, Tensor};
 use drape_model::kernels::decoder::{Segments, decode};
@@ -8,6 +8,7 @@ use crate::{POISON, bits, difference, finite_differences, flat, ones_with, rando
 
 const INNER: usize = 4;
 const HIDDEN: usize = 5;
+const OUT: usize = 2;
 
 /// Segments of 2, 0 and 3 rows that are averaged, and one of 1 row that is not.
 fn segments() -> Segments {
@@ -17,27 +18,29 @@ fn segments() -> Segments {
     }
 }
 
-/// Weights of both layers, biases behind them.
+/// Weights of all layers, biases behind them; the second with the last.
 fn layers() -> [Tensor; 2] {
     [
         random("first", HIDDEN * INNER + HIDDEN),
-        random("second", HIDDEN * HIDDEN + HIDDEN),
+        random("second", (HIDDEN + OUT) * (HIDDEN + 1)),
     ]
 }
 
 /// The same on stock tensors.
 fn plain(x: &Tensor, first: &Tensor, second: &Tensor, segments: &Segments) -> Result<Tensor> {
-    let layer = |x: &Tensor, both: &Tensor, inner: usize| {
-        let weight = both.narrow(0, 0, HIDDEN * inner)?;
-        let bias = both.narrow(0, HIDDEN * inner, HIDDEN)?;
-        linear(
-            x,
-            &weight.reshape((HIDDEN, inner))?,
-            &bias,
-            Activation::Relu,
-        )
+    let layer = |x: &Tensor, both: &Tensor, out: usize, activation| {
+        let inner = x.dim(1)?;
+        let weight = both.narrow(0, 0, out * inner)?;
+        let bias = both.narrow(0, out * inner, out)?;
+        linear(x, &weight.reshape((out, inner))?, &bias, activation)
     };
-    let hidden = layer(&layer(x, first, INNER)?, second, HIDDEN)?;
+    let before = HIDDEN * (HIDDEN + 1);
+    let (second, last) = (
+        second.narrow(0, 0, before)?,
+        second.narrow(0, before, OUT * (HIDDEN + 1))?,
+    );
+    let hidden = layer(x, first, HIDDEN, Activation::Relu)?;
+    let hidden = layer(&hidden, &second, HIDDEN, Activation::Relu)?;
     let rows = segments
         .offsets
         .windows(2)
@@ -52,7 +55,8 @@ fn plain(x: &Tensor, first: &Tensor, second: &Tensor, segments: &Segments) -> Re
             };
             sum / divisor
         });
-    Tensor::cat(&rows.collect::<Result<Vec<_>>>()?, 0)
+    let means = Tensor::cat(&rows.collect::<Result<Vec<_>>>()?, 0)?;
+    layer(&means, &last, OUT, Activation::None)
 }
 
 #[test]
@@ -72,7 +76,8 @@ fn equals_the_layers_one_after_the_other() {
     }
     let x = random("x", (6, INNER));
     let found = flat(&decode(&x, &first, &second, segments(), false).unwrap());
-    assert_eq!(found[HIDDEN..2 * HIDDEN], [0.0; HIDDEN], "an empty segment");
+    let bias = &flat(&second)[(HIDDEN + OUT) * (HIDDEN + 1) - OUT..];
+    assert_eq!(found[OUT..2 * OUT], *bias, "an empty segment");
 }
 
 #[test]
@@ -95,10 +100,7 @@ fn poison_stays_in_its_segment() {
     let clean = bits(&run(0.5));
     for value in POISON {
         let y = run(value);
-        for (segment, (found, expected)) in bits(&y)
-            .chunks(HIDDEN)
-            .zip(clean.chunks(HIDDEN))
-            .enumerate()
+        for (segment, (found, expected)) in bits(&y).chunks(OUT).zip(clean.chunks(OUT)).enumerate()
         {
             assert!(
                 segment == 2 || found == expected,
@@ -106,7 +108,7 @@ fn poison_stays_in_its_segment() {
             );
         }
         if value.is_nan() {
-            assert!(flat(&y)[2 * HIDDEN].is_nan(), "ReLU hides a NaN");
+            assert!(flat(&y)[2 * OUT].is_nan(), "ReLU hides a NaN");
         }
     }
 }

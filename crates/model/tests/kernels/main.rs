@@ -6,6 +6,7 @@
 mod attention;
 mod blocks;
 mod decoder;
+mod features;
 mod finite_differences;
 mod layer_norm;
 mod linear;

@@ -78,7 +78,7 @@ fn work() -> Vec<u32> {
         };
         apply(&x, weights, stack).unwrap()
     });
-    trace("decoder", 40 * 41, &|second| {
+    trace("decoder", (40 + 3) * 41, &|second| {
         let first = f32s("first", (1, 40 * (WIDTH + 1))).flatten_all().unwrap();
         let segments = Segments {
             offsets: (0..=200).map(|s| 3 * s).collect(),
