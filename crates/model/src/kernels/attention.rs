@@ -184,15 +184,16 @@ fn add_product<T: Real>(to: &mut [T; LANES], x: &[T; LANES], y: &[T; LANES]) {
 /// Each group's `Wᵀ x`, axis by axis.
 #[inline(always)]
 fn project<T: Real>(w: &[Heads<T>; 3], x: &Heads<T>) -> [Four<T>; 3] {
-    std::array::from_fn(|axis| {
+    // No closure: one that is not inlined is compiled without vector units.
+    let mut out = [[T::zero(); GROUPS]; 3];
+    for axis in 0..3 {
         let mut sum = [T::zero(); LANES];
         for (w, x) in w[axis].iter().zip(x) {
-            for lane in 0..LANES {
-                sum[lane] += w[lane] * x[lane];
-            }
+            add_product(&mut sum, w, x);
         }
-        fold(sum)
-    })
+        out[axis] = fold(sum);
+    }
+    out
 }
 
 /// Each group's `W z`, added to x.
@@ -458,6 +459,14 @@ impl<'a, T: Real> Input<'a, T> {
         }
         let o = turn_back(&self.edges.rotations[token], project(&self.groups.w, &y));
         (y, o)
+    }
+}
+
+/// `Wᵀ s` of the world heads of each row.
+#[inline(always)]
+fn project_rows<T: Real>(w: &[Heads<T>; 3], rows: &[T], out: &mut [[Four<T>; 3]]) {
+    for (row, out) in rows.chunks_exact(WIDTH).zip(out) {
+        *out = project(w, heads(row));
     }
 }
 
@@ -777,6 +786,7 @@ impl<T: Real> Input<'_, T> {
     }
 }
 
+simd_dispatch!(fn run_project => project_rows<T>(w: &[Heads<T>; 3], rows: &[T], out: &mut [[Four<T>; 3]]));
 simd_dispatch!(fn run_forward => forward_rows<T>(input: &Input<T>, first: usize, out: &mut [T]));
 simd_dispatch!(fn run_backward => backward_part<T>(input: &Input<T>, part: (usize, usize), grad: &[T], out: &mut PartGradient<T>, lifts: &mut Lifts<T>));
 
@@ -846,8 +856,13 @@ impl Attention {
 
     fn body_projected<T: Real>(&self, tokens: &[T], groups: &Groups<T>) -> Vec<[Four<T>; 3]> {
         let first = 2 * self.edges.mesh.rows() + self.edges.senders;
-        let tokens = tokens[first * WIDTH..].chunks_exact(WIDTH);
-        tokens.map(|row| project(&groups.w, heads(row))).collect()
+        let tokens = tokens[first * WIDTH..].chunks(BLOCK_ROWS * WIDTH);
+        let mut out = vec![[[T::zero(); GROUPS]; 3]; self.edges.rotations.len()];
+        let blocks = tokens.zip(out.chunks_mut(BLOCK_ROWS)).collect();
+        for_all(blocks, |(tokens, out): (&[T], &mut [[Four<T>; 3]])| {
+            run_project(&groups.w, tokens, out);
+        });
+        out
     }
 
     /// Attention's output `[receivers, 128]` from tokens and parameters of [`attend`]; the channels of
