@@ -13,7 +13,7 @@ use candle_core::{DType, Device, Tensor};
 use drape_dataset::patches::{Csr, Patches};
 use drape_dataset::registry::GarmentKind;
 use drape_dataset::sample::{Outfit, Sample, State, StatePair, Step, pair};
-use drape_dataset::statistics::ColumnStatistics;
+use drape_dataset::statistics::{ColumnStatistics, Trend};
 use drape_model::{LayersNet, ModelConfig, Parameters};
 use drape_train::adam::{Adam, Gradients};
 use drape_train::losses::orthogonality::orthogonality;
@@ -176,6 +176,7 @@ impl Case {
         let mut statistics = ColumnStatistics {
             mean: [0.0; 9],
             std: [1.0; 9],
+            trend: Trend::default(),
         };
         for column in 0..6 {
             statistics.mean[column] = table[column] as f32;

@@ -8,7 +8,7 @@ use candle_core::{DType, Device, Tensor, Var};
 use drape_dataset::patches::Csr;
 use drape_dataset::random::stream;
 use drape_dataset::sample::Sample;
-use drape_dataset::statistics::ColumnStatistics;
+use drape_dataset::statistics::{ColumnStatistics, Trend};
 use drape_model::kernels::attention::{self, Edges, GROUP_PARAMETERS, GROUPS, HEAD, WIDTH};
 use drape_model::parameters::is_idle;
 use drape_model::reference::{self, Group};
@@ -16,6 +16,14 @@ use drape_model::{LayersNet, ModelConfig, Parameters, Prediction};
 use drape_tests::oracle::relative;
 use drape_tests::scene::{Scene, SceneConfig};
 use rand::Rng;
+
+/// Powers of two, for the same reason as the deviations below.
+const TREND: Trend = Trend {
+    persistence: 0.5,
+    damping: 0.125,
+    follow: 0.25,
+    gust: 0.0625,
+};
 
 struct Case {
     name: &'static str,
@@ -66,6 +74,9 @@ fn cases() -> Vec<Case> {
             // LayersNet multiplies the frames back to the world by these in f32: exact if
             // they are powers of two, so that f64 compares the formulas and nothing else.
             statistics.std = statistics.std.map(|std| std.log2().round().exp2());
+            if config.trend {
+                statistics.trend = TREND;
+            }
             if crumpled {
                 let point = sample.state[0];
                 for row in &mut sample.state {

@@ -269,6 +269,16 @@ impl Step {
     }
 }
 
+impl Step {
+    /// Change of the wind from this frame to the next: direction times strength/400.
+    pub fn gust(&self) -> [f32; 3] {
+        let wind = |frame: usize, axis: usize| {
+            self.wind_rotations[frame][axis][2] * self.wind[11 * frame + 10]
+        };
+        [0, 1, 2].map(|axis| wind(0, axis) - wind(1, axis))
+    }
+}
+
 /// A start state with the steps and the reference that follow it.
 #[derive(Clone, Debug)]
 pub struct Sample {

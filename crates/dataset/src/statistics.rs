@@ -88,6 +88,35 @@ impl Moments {
     }
 }
 
+/// What a vertex's next acceleration owes to its own motion, on average over a training set:
+/// `persistence · a − damping · v − follow · s · (v − v_skin) + gust · Δw`.
+///
+/// v and a are velocity and last acceleration relative to the root, v_skin the coming velocity of
+/// the nearest body vertex, s how near it is (1 at the skin, 0 out of sight), Δw the coming change
+/// of the wind (direction times strength/400). All zero: none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Trend {
+    /// Share of the last acceleration that stays.
+    pub persistence: f32,
+    /// Share of the velocity that goes, per frame.
+    pub damping: f32,
+    /// Share of the velocity along the skin that goes, per frame.
+    pub follow: f32,
+    /// Acceleration by a gust of strength 400, units/frame².
+    pub gust: f32,
+}
+
+impl Trend {
+    /// Acceleration of terms `[a, −v, −s·(v − v_skin), Δw]`, units/frame².
+    pub fn acceleration(&self, terms: &[[f32; 3]; 4]) -> [f32; 3] {
+        let weights = [self.persistence, self.damping, self.follow, self.gust];
+        [0, 1, 2].map(|axis| {
+            let parts = weights.iter().zip(terms).map(|(w, term)| w * term[axis]);
+            parts.sum()
+        })
+    }
+}
+
 /// Mean and standard deviation of position, velocity and acceleration
 /// (units, units/frame, units/frame²), three columns each.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -96,6 +125,9 @@ pub struct ColumnStatistics {
     pub mean: [f32; 9],
     /// Standard deviation of `[pos, vel, acc]`.
     pub std: [f32; 9],
+    /// Trend of accelerations.
+    #[serde(default)]
+    pub trend: Trend,
 }
 
 impl ColumnStatistics {
@@ -104,6 +136,7 @@ impl ColumnStatistics {
         let mut columns = Self {
             mean: [0.0; 9],
             std: [1.0; 9],
+            trend: Trend::default(),
         };
         for (block, group) in moments.iter().enumerate() {
             let std = group.std();

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use drape_dataset::sample::{FrameStates, Outfit, Sample, rotation_matrix, turned};
 use drape_dataset::sequence::Frame;
-use drape_dataset::statistics::{ColumnStatistics, Statistics};
+use drape_dataset::statistics::{ColumnStatistics, Statistics, Trend};
 use reference::{PATCH_SIZE, Reference};
 
 fn statistics(file: &Reference) -> Statistics {
@@ -16,6 +16,7 @@ fn statistics(file: &Reference) -> Statistics {
         ColumnStatistics {
             mean: std::array::from_fn(|i| table[i] as f32),
             std: std::array::from_fn(|i| table[9 + i] as f32),
+            trend: Trend::default(),
         }
     };
     Statistics {

@@ -1,4 +1,4 @@
-//! LayersNet as a [`Method`]: what it needs per sequence is prepared once
+//! LayersNet, and the trend it starts from alone, as a [`Method`]: what it needs per sequence is prepared once
 //! (patches, attributes, the first state); a step is one forward pass from the
 //! model's own prediction, with the body, wind and gravity of the next frame.
 //!
@@ -7,9 +7,9 @@
 
 use drape_dataset::{
     sample::{FrameStates, Outfit, State, StatePair, Step, gravity_per_frame, pair},
-    statistics::Statistics,
+    statistics::{ColumnStatistics, Statistics, Trend},
 };
-use drape_model::LayersNet;
+use drape_model::{FrameGraph, LayersNet, ModelConfig};
 use drape_train::{TrainError, run::RunFolder, step::advance};
 
 use crate::{
@@ -18,10 +18,44 @@ use crate::{
     task::{Positions, Task},
 };
 
-/// A trained LayersNet.
+/// What tells accelerations.
+enum Predictor {
+    Network(Box<LayersNet>),
+    /// [`drape_dataset::statistics::Trend`] with the reach of these choices.
+    Trend(ModelConfig),
+}
+
+impl Predictor {
+    /// Accelerations of all vertices, `[3 N]` in units/frame².
+    fn accelerations(
+        &self,
+        statistics: &ColumnStatistics,
+        outfit: &Outfit,
+        state: &[StatePair],
+        step: &Step,
+    ) -> drape_model::Result<Vec<f32>> {
+        let config = match self {
+            Self::Network(net) => {
+                let prediction = net.forward(outfit, statistics, state, step)?;
+                return Ok(prediction.acceleration.flatten_all()?.to_vec1()?);
+            }
+            Self::Trend(config) => config,
+        };
+        let graph = FrameGraph::new(config, outfit, state, step)?;
+        let added = graph.trend(&statistics.trend, state, step);
+        let (vertices, patches) = added.split_at(state.len());
+        let whole = vertices.iter().zip(&graph.own_patch).map(|(own, &patch)| {
+            let patch = patches[patch as usize];
+            [0, 1, 2].map(|axis| own[axis] + patch[axis])
+        });
+        Ok(whole.flatten().collect())
+    }
+}
+
+/// A trained LayersNet, or its trend alone.
 pub struct LayersNetMethod {
     name: String,
-    net: LayersNet,
+    predictor: Predictor,
     statistics: Statistics,
     patch_size_m: f32,
     rolling: Option<Rolling>,
@@ -46,7 +80,7 @@ impl LayersNetMethod {
     ) -> Self {
         Self {
             name: name.into(),
-            net,
+            predictor: Predictor::Network(Box::new(net)),
             statistics,
             patch_size_m,
             rolling: None,
@@ -66,6 +100,22 @@ impl LayersNetMethod {
             model.statistics,
             model.config.patch_size_m,
         ))
+    }
+
+    /// What the run's network starts from, without the network; `None` if it has no trend.
+    ///
+    /// # Errors
+    /// When the folder holds no whole checkpoint.
+    pub fn trend_of_run(folder: &RunFolder) -> Result<Option<Self>, TrainError> {
+        let model = folder.trained()?;
+        let found = model.statistics.vertices.trend != Trend::default();
+        Ok(found.then(|| Self {
+            name: format!("trend {}", model.name),
+            predictor: Predictor::Trend(model.config.model),
+            statistics: model.statistics,
+            patch_size_m: model.config.patch_size_m,
+            rolling: None,
+        }))
     }
 
     fn failed(&self, task: &Task, frame: usize, reason: impl ToString) -> EvalError {
@@ -112,15 +162,10 @@ impl Method for LayersNetMethod {
         };
         let next = states(task, frame);
         let step = Step::new(&next, &rolling.now, &self.statistics, rolling.gravity);
-        let accelerations: Vec<f32> = self
-            .net
-            .forward(
-                &rolling.outfit,
-                &self.statistics.vertices,
-                &rolling.state,
-                &step,
-            )
-            .and_then(|prediction| Ok(prediction.acceleration.flatten_all()?.to_vec1()?))
+        let columns = &self.statistics.vertices;
+        let accelerations = self
+            .predictor
+            .accelerations(columns, &rolling.outfit, &rolling.state, &step)
             .map_err(|error| self.failed(task, frame, error))?;
         let predicted = advance(&rolling.state, &accelerations);
         for (state, next) in rolling.state.iter_mut().zip(&predicted) {

@@ -35,6 +35,9 @@ pub struct ModelConfig {
     /// nothing at the reach. With it the model sees how cloth moves along the skin. Released 0
     /// (the rows hold zeros), default 3.
     pub patch_sight: f32,
+    /// Whether training fits a [`drape_dataset::statistics::Trend`], to which the decoder's
+    /// accelerations are added as to their mean. Released false (none), default true.
+    pub trend: bool,
     /// How a normal is completed to a frame. Released `fixed-x`, default `smallest-component`.
     pub frame_axis: FrameAxis,
     /// Gravity used to make samples. Released `released`, default `scene`.
@@ -114,6 +117,7 @@ impl Default for ModelConfig {
             output_scale: OutputScale::Acceleration,
             distant_patch_body: false,
             patch_sight: 3.0,
+            trend: true,
             frame_axis: FrameAxis::SmallestComponent,
             gravity: GravitySource::Scene,
         }
@@ -133,6 +137,7 @@ impl ModelConfig {
             output_scale: OutputScale::Velocity,
             distant_patch_body: true,
             patch_sight: 0.0,
+            trend: false,
             frame_axis: FrameAxis::FixedX,
             gravity: GravitySource::Released,
         }

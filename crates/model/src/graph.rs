@@ -14,6 +14,7 @@ use std::sync::Arc;
 
 use drape_dataset::patches::Csr;
 use drape_dataset::sample::{Outfit, StatePair, Step};
+use drape_dataset::statistics::Trend;
 use drape_geometry::grid::Grid;
 use drape_geometry::normals::vertex_normals;
 
@@ -361,6 +362,45 @@ impl FrameGraph {
             &std::array::from_fn(|i| share * (state[i] - body[i])),
             anchor,
         )
+    }
+}
+
+impl FrameGraph {
+    /// Terms of [`drape_dataset::statistics::Trend`] for a state that moves with `patch`.
+    pub fn trend_terms(&self, patch: usize, state: &StatePair, step: &Step) -> [[f32; 3]; 4] {
+        let axes = [0, 1, 2];
+        let along_skin = match self.patch_anchors[patch].sight {
+            Some((vertex, share)) => {
+                let body = &step.body[vertex as usize];
+                axes.map(|axis| share * (body[3 + axis] - state[3 + axis]))
+            }
+            None => [0.0; 3],
+        };
+        [
+            axes.map(|axis| state[3 + axis] - state[9 + axis]),
+            axes.map(|axis| -state[3 + axis]),
+            along_skin,
+            step.gust(),
+        ]
+    }
+
+    /// What a trend adds to the accelerations: of each vertex relative to its own patch, then of
+    /// each patch, `[N + P]` in units/frame².
+    pub fn trend(&self, trend: &Trend, state: &[StatePair], step: &Step) -> Vec<[f32; 3]> {
+        let of = |patch: usize, state: &StatePair| {
+            trend.acceleration(&self.trend_terms(patch, state, step))
+        };
+        let patches: Vec<[f32; 3]> = self
+            .patch_states
+            .iter()
+            .enumerate()
+            .map(|(patch, state)| of(patch, state))
+            .collect();
+        let vertices = state.iter().zip(&self.own_patch).map(|(state, &own)| {
+            let (whole, own) = (of(own as usize, state), patches[own as usize]);
+            [0, 1, 2].map(|axis| whole[axis] - own[axis])
+        });
+        vertices.chain(patches.iter().copied()).collect()
     }
 }
 

@@ -371,10 +371,12 @@ impl LayersNet {
         };
         let mean = [0, 1, 2].map(|axis| statistics.mean[columns + axis]);
         let std = [0, 1, 2].map(|axis| statistics.std[columns + axis]);
+        let trend = graph.trend(&statistics.trend, state, step);
         let anchors = graph.vertex_anchors.iter().chain(&graph.patch_anchors);
         let back = anchors
+            .zip(trend)
             .enumerate()
-            .map(|(index, anchor)| {
+            .map(|(index, (anchor, trend))| {
                 let r = transposed(&anchor.frame);
                 // A vertex whose four candidates are all refused (coincident centres) takes its
                 // own patch's motion only: no mean, so not the last layer's bias either.
@@ -385,7 +387,7 @@ impl LayersNet {
                 RowMap {
                     index: index as u32,
                     matrix,
-                    offset: mean,
+                    offset: [0, 1, 2].map(|axis| mean[axis] + trend[axis]),
                 }
             })
             .collect();

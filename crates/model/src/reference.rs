@@ -128,12 +128,16 @@ pub fn forward(
         OutputScale::Velocity => 3,
         OutputScale::Acceleration => 6,
     };
-    let of_axes = |values: &[f32; 9]| weights.constant(&[[0, 1, 2].map(|i| values[columns + i])]);
     let anchors = graph.vertex_anchors.iter().chain(&graph.patch_anchors);
     let frames = weights.matrices(anchors.map(|anchor| anchor.frame).collect())?;
+    let mut offsets = graph.trend(&statistics.trend, state, step);
+    for offset in &mut offsets {
+        *offset = [0, 1, 2].map(|axis| statistics.mean[columns + axis] + offset[axis]);
+    }
+    let std = weights.constant(&[[0, 1, 2].map(|axis| statistics.std[columns + axis])])?;
     let world = turn_back(&frames, &local)?
-        .broadcast_mul(&of_axes(&statistics.std)?)?
-        .broadcast_add(&of_axes(&statistics.mean)?)?;
+        .broadcast_mul(&std)?
+        .add(&weights.constant(&offsets)?)?;
     let relative = world.narrow(0, 0, state.len())?.contiguous()?;
     let patch_acceleration = world.narrow(0, state.len(), patches)?.contiguous()?;
     let own = weights.indices(graph.own_patch.clone())?;

@@ -19,6 +19,7 @@ use rayon::prelude::*;
 
 use crate::config::TrainConfig;
 use crate::error::{Result, TrainError};
+use crate::trend::fit_trend;
 
 /// One sequence to train on.
 pub struct TrainingSequence {
@@ -139,11 +140,15 @@ impl TrainingSet {
         } else {
             statistics
         };
-        Ok(Self {
+        let mut set = Self {
             sequences,
             statistics,
             data_hash: index.data_hash(),
-        })
+        };
+        if config.model.trend {
+            set.statistics.vertices.trend = fit_trend(&set, config)?;
+        }
+        Ok(set)
     }
 
     /// The draws of an epoch (from 0), a function of the seed alone.

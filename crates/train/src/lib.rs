@@ -2,7 +2,7 @@
 //! sequences, with run folders that resume bit for bit.
 //!
 //! [`data`] draws samples, [`step`] does one sample's forward and backward pass,
-//! [`losses`] are the paper's terms, [`trainer`] is the loop, [`run`] the folder.
+//! [`trend`] fits what accelerations are predicted around, [`losses`] are the paper's terms, [`trainer`] is the loop, [`run`] the folder.
 
 pub mod adam;
 pub mod config;
@@ -14,5 +14,6 @@ pub mod run;
 pub mod step;
 pub mod sway;
 pub mod trainer;
+pub mod trend;
 
 pub use error::{Result, TrainError};

@@ -55,6 +55,20 @@ pub fn roll_in(
     Ok(state)
 }
 
+/// What the last step of a sample shall reach from `state`; see [`returning`].
+pub fn target(return_frames: f64, sample: &Sample, state: &[StatePair]) -> Vec<State> {
+    let start = || sample.state.iter().map(|row| row[..6].try_into());
+    let (reference, before) = match sample.reference.as_slice() {
+        [.., before, reference] => (reference, before.clone()),
+        [reference] => {
+            let before = start().collect::<Result<_, _>>();
+            (reference, before.expect("six of twelve columns"))
+        }
+        [] => unreachable!("a sample has a reference"),
+    };
+    returning(return_frames, reference, &before, state)
+}
+
 /// What one sample contributes.
 pub struct SampleGradient {
     /// Loss terms.
@@ -81,7 +95,6 @@ pub fn sample_gradient(
     with_collisions: bool,
 ) -> Result<SampleGradient> {
     let step = sample.steps.last().expect("a sample has a step");
-    let reference = sample.reference.last().expect("a sample has a reference");
     let prediction = net.forward(&sample.outfit, statistics, state, step)?;
     let started = Instant::now();
     let dtype = prediction.acceleration.dtype();
@@ -96,15 +109,7 @@ pub fn sample_gradient(
         &prediction.graph.patch_states,
         &values(&prediction.patch_acceleration)?,
     );
-    let before: Vec<State> = match sample.reference.as_slice() {
-        [.., before, _] => before.clone(),
-        _ => sample
-            .state
-            .iter()
-            .map(|row| std::array::from_fn(|column| row[column]))
-            .collect(),
-    };
-    let reference = &returning(losses.return_frames, reference, &before, state);
+    let reference = &target(losses.return_frames, sample, state);
     let (weight, discount) = (losses.position, losses.stray_discount);
     let (mut losses, mut by_vertex, mut by_patch) = all_terms(
         losses,

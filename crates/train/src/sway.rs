@@ -9,8 +9,11 @@
 
 use std::f32::consts::TAU;
 
+use drape_dataset::random::stream;
 use drape_dataset::sample::{Outfit, StatePair};
 use rand::Rng;
+
+use crate::config::TrainConfig;
 
 /// Velocity of the sway, of its size per frame. A rollout drifts more slowly, but what
 /// ends a drift is how firmly a wrong velocity is answered, and this teaches it.
@@ -92,5 +95,13 @@ pub fn sway(state: &mut [StatePair], outfit: &Outfit, size: f32, rng: &mut impl 
                 row[9 + axis] += drift;
             }
         }
+    }
+}
+
+/// Shifts a draw's state by the configuration's sway, if any, from the random stream `label`.
+pub fn sway_of_draw(config: &TrainConfig, state: &mut [StatePair], outfit: &Outfit, label: &str) {
+    let size = config.schedule.sway;
+    if size > 0.0 {
+        sway(state, outfit, size, &mut stream(config.seed, label));
     }
 }

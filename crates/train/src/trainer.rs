@@ -9,7 +9,6 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use drape_dataset::random::stream;
 use drape_model::{LayersNet, ModelError, Parameters};
 use serde::Serialize;
 
@@ -21,7 +20,7 @@ use crate::losses::LossValues;
 use crate::losses::orthogonality::orthogonality;
 use crate::run::{Position, RunFolder, RunRecord};
 use crate::step::{roll_in, sample_gradient};
-use crate::sway::sway;
+use crate::sway::sway_of_draw;
 
 /// Time between two checkpoints.
 const CHECKPOINT_EVERY: Duration = Duration::from_secs(60);
@@ -115,15 +114,9 @@ impl Trainer<'_> {
                 other => other,
             };
             let mut state = roll_in(&frozen, columns, &sample, 0).map_err(overflowed)?;
-            let size = config.schedule.sway;
-            if size > 0.0 {
-                let (name, frame) = (set.name(draw), draw.frame);
-                let mut rng = stream(
-                    config.seed,
-                    &format!("sway/update {update}, {name}, frame {frame}"),
-                );
-                sway(&mut state, &sample.outfit, size, &mut rng);
-            }
+            let (name, frame) = (set.name(draw), draw.frame);
+            let label = format!("sway/update {update}, {name}, frame {frame}");
+            sway_of_draw(config, &mut state, &sample.outfit, &label);
             let result = sample_gradient(
                 &trainable,
                 &self.parameters,

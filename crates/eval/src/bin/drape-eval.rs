@@ -105,6 +105,10 @@ fn run(arguments: &Arguments) -> Result<()> {
         Entry::new(Box::new(Frozen::default())),
         Entry::new(Box::new(Skinned::default())),
     ];
+    // What the (first) network starts from: the rest is what it learnt.
+    if let Some(trend) = LayersNetMethod::trend_of_run(&runs[0])? {
+        entries.push(Entry::new(Box::new(trend)));
+    }
     let floors = entries.len();
     for run in &runs {
         entries.push(Entry::new(Box::new(LayersNetMethod::from_run(run)?)));

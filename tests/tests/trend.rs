@@ -1,0 +1,161 @@
+//! The trend of accelerations: what it adds to a prediction, and that its fit is the best one.
+
+use drape_dataset::sample::{Outfit, StatePair, Step};
+use drape_dataset::splits::Split;
+use drape_dataset::statistics::Trend;
+use drape_model::{FrameGraph, LayersNet, ModelConfig, Parameters};
+use drape_tests::example::write_dataset;
+use drape_tests::scene::{PATCH_SIZE_M, Scene, SceneConfig};
+use drape_train::config::TrainConfig;
+use drape_train::data::TrainingSet;
+
+const TREND: Trend = Trend {
+    persistence: 0.5,
+    damping: 0.06,
+    follow: 0.2,
+    gust: 0.05,
+};
+
+/// The formula, written out for one vertex that moves with a patch.
+fn by_hand(
+    trend: &Trend,
+    (config, outfit): (&ModelConfig, &Outfit),
+    (vertex, state): (usize, &[StatePair]),
+    step: &Step,
+) -> [f32; 3] {
+    let own = outfit.patches.of_vertex.row(vertex)[0] as usize;
+    let members = outfit.patches.members.row(own);
+    let centre = [0, 1, 2].map(|axis| {
+        let sum: f32 = members.iter().map(|&v| state[v as usize][axis]).sum();
+        sum / members.len() as f32
+    });
+    let squared =
+        |body: &StatePair| -> f32 { (0..3).map(|axis| (body[axis] - centre[axis]).powi(2)).sum() };
+    let nearest = step
+        .body
+        .iter()
+        .min_by(|a, b| squared(a).total_cmp(&squared(b)));
+    let row = &state[vertex];
+    [0, 1, 2].map(|axis| {
+        let (v, older) = (row[3 + axis], row[9 + axis]);
+        let along_skin = nearest.map_or(0.0, |body| {
+            let far = squared(body) / config.patch_sight.powi(2);
+            (1.0 - far).max(0.0).powi(2) * (v - body[3 + axis])
+        });
+        trend.persistence * (v - older) - trend.damping * v - trend.follow * along_skin
+            + trend.gust * step.gust()[axis]
+    })
+}
+
+#[test]
+fn it_adds_the_formula_to_each_vertex() {
+    for (body, wind) in [(true, true), (true, false), (false, true)] {
+        let scene = Scene::new(SceneConfig {
+            body,
+            ..SceneConfig::default()
+        });
+        let (mut sample, statistics) = scene.sample(1);
+        let config = ModelConfig::default();
+        let step = &mut sample.steps[0];
+        // A gust of 200 along +x from still air.
+        step.wind[10] = if wind { 0.5 } else { 0.0 };
+        step.wind[21] = 0.0;
+        step.wind_rotations[0] = [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]];
+        let gust = if wind { [0.5, 0.0, 0.0] } else { [0.0; 3] };
+        assert_eq!(step.gust(), gust);
+        let parameters = Parameters::new(&config, 1).unwrap();
+        let net = LayersNet::frozen(&config, &parameters).unwrap();
+        let [without, with] = [Trend::default(), TREND].map(|trend| {
+            let mut columns = statistics.vertices;
+            columns.trend = trend;
+            let prediction = net.forward(&sample.outfit, &columns, &sample.state, &sample.steps[0]);
+            let acceleration = prediction.unwrap().acceleration;
+            acceleration.to_vec2::<f32>().unwrap()
+        });
+        let (mut largest, step) = (0f32, &sample.steps[0]);
+        for (vertex, (with, without)) in with.iter().zip(&without).enumerate() {
+            let outfit = (&config, &*sample.outfit);
+            let expected = by_hand(&TREND, outfit, (vertex, &sample.state), step);
+            for axis in 0..3 {
+                let found = with[axis] - without[axis];
+                assert!((found - expected[axis]).abs() < 1e-5, "vertex {vertex}");
+                largest = largest.max(expected[axis].abs());
+            }
+        }
+        assert!(largest > 1e-3, "there is something to see");
+    }
+}
+
+/// Squared distance of the trend from the recorded accelerations, over the first epoch's draws.
+fn misfit(set: &TrainingSet, config: &TrainConfig, trend: &Trend) -> f64 {
+    let mut sum = 0.0;
+    for draw in set.draws(config, 0) {
+        let sample = set.sample(&draw, config.model.gravity).unwrap();
+        let (state, step) = (&sample.state, &sample.steps[0]);
+        let graph = FrameGraph::new(&config.model, &sample.outfit, state, step).unwrap();
+        let patches = state.len();
+        let added = graph.trend(trend, state, step);
+        for (vertex, reference) in sample.reference[0].iter().enumerate() {
+            let own = added[patches + graph.own_patch[vertex] as usize];
+            for axis in 0..3 {
+                let recorded = reference[3 + axis] - state[vertex][3 + axis];
+                sum += f64::from(recorded - added[vertex][axis] - own[axis]).powi(2);
+            }
+        }
+    }
+    sum
+}
+
+#[test]
+fn the_fit_is_the_least_squares() {
+    let folder = tempfile::tempdir().unwrap();
+    write_dataset(folder.path(), &[Split::Train, Split::Train]).unwrap();
+    let mut config = TrainConfig {
+        data: folder.path().into(),
+        patch_size_m: PATCH_SIZE_M,
+        ..TrainConfig::default()
+    };
+    // As recorded: no sway to come back from, and all garments alike.
+    config.schedule.samples_per_epoch = 8;
+    config.schedule.sway = 0.0;
+    config.losses.stray_discount = 0.0;
+    let set = TrainingSet::open(&config).unwrap();
+    let best = set.statistics.vertices.trend;
+    assert_ne!(best, Trend::default());
+    let least = misfit(&set, &config, &best);
+    assert!(least < misfit(&set, &config, &Trend::default()));
+    for change in [-0.02, 0.02] {
+        let changed = [
+            Trend {
+                persistence: best.persistence + change,
+                ..best
+            },
+            Trend {
+                damping: best.damping + change,
+                ..best
+            },
+            Trend {
+                follow: best.follow + change,
+                ..best
+            },
+            Trend {
+                gust: best.gust + change,
+                ..best
+            },
+        ];
+        for other in changed {
+            let misfit = misfit(&set, &config, &other);
+            assert!(
+                misfit >= least * (1.0 - 1e-6),
+                "{other:?} fits better than {best:?}"
+            );
+        }
+    }
+    config.model.trend = false;
+    let none = TrainingSet::open(&config)
+        .unwrap()
+        .statistics
+        .vertices
+        .trend;
+    assert_eq!(none, Trend::default());
+}
