@@ -61,22 +61,12 @@ impl Blocks {
         })
     }
 
-    /// Patches' states `[P, 128]` after each block of a trainable network, after the last block only
-    /// of a frozen one.
+    /// Patches' states `[P, 128]` after the last block.
     ///
     /// # Errors
     /// If tokens do not fit the edges.
-    pub fn patches(&self, tokens: &Tokens, edges: &Arc<Edges>) -> Result<Vec<Tensor>> {
-        let ends = if self.trainable {
-            Ends::Patches
-        } else {
-            Ends::LastPatches
-        };
-        let all = self.apply(tokens, edges, ends)?;
-        let patches = edges.mesh.rows();
-        (0..all.dim(0)? / patches.max(1))
-            .map(|block| Ok(all.narrow(0, block * patches, patches)?))
-            .collect()
+    pub fn patches(&self, tokens: &Tokens, edges: &Arc<Edges>) -> Result<Tensor> {
+        self.apply(tokens, edges, Ends::Patches)
     }
 
     /// All that comes out of the last block.

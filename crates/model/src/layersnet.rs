@@ -136,7 +136,7 @@ pub struct Prediction {
     pub relative: Tensor,
     /// Acceleration of each patch, `[P, 3]`.
     pub patch_acceleration: Tensor,
-    /// Patch tokens `[P, 128]` after each block; a frozen network gives the last only.
+    /// Patch tokens `[P, 128]` after each block of the reference path; [`LayersNet`] gives the last only.
     pub blocks: Vec<Tensor>,
     /// The structure it was computed on.
     pub graph: FrameGraph,
@@ -295,9 +295,9 @@ impl LayersNet {
             sender: self.sender_norm.apply(&senders)?,
         };
         seconds.encoders = lap();
-        let blocks = self.blocks.patches(&tokens, &graph.edges)?;
+        let embedding = self.blocks.patches(&tokens, &graph.edges)?;
         seconds.blocks = lap();
-        let mut prediction = self.decode(statistics, state, step, &encoded, graph, blocks)?;
+        let mut prediction = self.decode(statistics, state, step, &encoded, graph, embedding)?;
         seconds.decoder = lap();
         prediction.seconds = seconds;
         Ok(prediction)
@@ -311,13 +311,12 @@ impl LayersNet {
         step: &Step,
         encoded: &Tensor,
         graph: FrameGraph,
-        blocks: Vec<Tensor>,
+        embedding: Tensor,
     ) -> Result<Prediction> {
         let (patches, vertices) = (graph.patch_states.len(), state.len());
         let pairs = graph.slots.len();
         // Three numbers per patch and per body vertex, turned into each receiver's frame.
-        let embedding = blocks.last().expect("at least one block");
-        let patch_numbers = crate::kernels::linear::product(embedding, &self.rotation)?;
+        let patch_numbers = crate::kernels::linear::product(&embedding, &self.rotation)?;
         let row = |index: usize| -> FeatureRow {
             let (patch, anchor, state) = match graph.slots.get(index) {
                 Some(slot) => {
@@ -400,7 +399,7 @@ impl LayersNet {
             acceleration,
             relative,
             patch_acceleration,
-            blocks,
+            blocks: vec![embedding],
             graph,
             seconds: ForwardSeconds::default(),
         })

@@ -51,14 +51,12 @@ pub struct Stack {
     pub transposes: Arc<Transposes>,
 }
 
-/// What the blocks return.
+/// What the blocks return of what comes out of the last one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ends {
-    /// The patches' states after each block, one below the other: `[blocks · P, 128]`.
+    /// The patches' states: `[P, 128]`.
     Patches,
-    /// The patches' states after the last block: `[P, 128]`.
-    LastPatches,
-    /// All of the last block, memories too: Z, R and S one below the other.
+    /// Everything, memories too: Z, R and S one below the other.
     Everything,
 }
 
@@ -151,8 +149,7 @@ impl Blocks {
             fit(&mut tile.sender, at.len()).copy_from_slice(&sender[at]);
         }
         let out_rows = match self.stack.ends {
-            Ends::Patches => self.stack.blocks * plan.patches,
-            Ends::LastPatches => plan.patches,
+            Ends::Patches => plan.patches,
             Ends::Everything => 2 * plan.rows + plan.patches,
         };
         let mut out = vec![T::zero(); out_rows * WIDTH];
@@ -182,14 +179,10 @@ impl Blocks {
                 }
             };
             if last {
-                let out = match self.stack.ends {
-                    Ends::Patches => &mut out[index * plan.patches * WIDTH..],
-                    _ => &mut out[..],
-                };
                 let (z, rest) = if everything {
                     out.split_at_mut(plan.rows * WIDTH)
                 } else {
-                    (out, Default::default())
+                    (&mut out[..], Default::default())
                 };
                 let z = plan
                     .cut(z)
@@ -240,12 +233,6 @@ impl Blocks {
                         tile.update(weights, part(number), rows, z, Some((receiver, sender)));
                     },
                 );
-                if self.stack.ends == Ends::Patches {
-                    let all = &mut out[index * plan.patches * WIDTH..][..plan.patches * WIDTH];
-                    for (out, tile) in plan.cut(all).into_iter().zip(&next.tiles) {
-                        out.copy_from_slice(&tile.z);
-                    }
-                }
             }
             blocks[index % count] = Block {
                 tokens,
@@ -276,7 +263,6 @@ impl Blocks {
         } = workshop;
         tiles.resize_with(plan.tiles.len(), TileGradient::default);
         fit(d_attended, plan.patches * WIDTH);
-        let (d_z, rest) = grad.split_at(if everything { plan.rows * WIDTH } else { 0 });
         for (tile, rows) in tiles.iter_mut().zip(&plan.tiles) {
             let at = rows.start * WIDTH..rows.end * WIDTH;
             let receiving = if rows.end <= plan.patches {
@@ -288,12 +274,15 @@ impl Blocks {
             let receiver = fit(&mut tile.receiver, receiving);
             let sender = fit(&mut tile.sender, at.len());
             if everything {
+                let (d_z, rest) = grad.split_at(plan.rows * WIDTH);
                 let (d_receiver, d_sender) = rest.split_at(plan.patches * WIDTH);
                 z.copy_from_slice(&d_z[at.clone()]);
                 if receiving > 0 {
                     receiver.copy_from_slice(&d_receiver[at.clone()]);
                 }
                 sender.copy_from_slice(&d_sender[at]);
+            } else if receiving > 0 {
+                z.copy_from_slice(&grad[at]);
             } else {
                 z.fill(T::zero());
             }
@@ -306,12 +295,6 @@ impl Blocks {
                 attended,
                 tiles: kept_tiles,
             } = &mut blocks[index];
-            // Gradients of the patches' states after this block that come from outside.
-            let from_outside = match self.stack.ends {
-                Ends::Patches => &grad[index * plan.patches * WIDTH..][..plan.patches * WIDTH],
-                Ends::LastPatches if last => grad,
-                _ => &[],
-            };
             let updated = if last && !everything {
                 plan.receiving()
             } else {
@@ -331,13 +314,6 @@ impl Blocks {
                 gradient.norms.clear();
                 gradient.norms.resize(NORMS * 2 * WIDTH, T::zero());
                 if number < updated {
-                    if !from_outside.is_empty() && number < plan.receiving() {
-                        let at = &plan.tiles[number];
-                        add(
-                            &from_outside[at.start * WIDTH..at.end * WIDTH],
-                            &mut gradient.z,
-                        );
-                    }
                     gradient.update(weights, tile, rows, part, !last || everything);
                 } else {
                     fit(&mut gradient.s, rows[2].len()).fill(T::zero());
