@@ -206,6 +206,7 @@ fn gradient_difference(case: &Case, dtype: DType, seed: u64) -> (f64, String) {
     let parameters = case.parameters(dtype, seed);
     let net = LayersNet::trainable(&case.config, &parameters).unwrap();
     let kernels = backward(&case.by_kernels(&net));
+    let kernels = net.gradients(&parameters, &kernels).unwrap();
     let reference = backward(&case.by_reference(&parameters));
     let mut worst = (0.0, String::new());
     for (name, variable) in parameters.iter() {
@@ -213,10 +214,9 @@ fn gradient_difference(case: &Case, dtype: DType, seed: u64) -> (f64, String) {
             assert!(reference.get(variable).is_none(), "{name} is idle");
             continue;
         }
-        let [found, expected] = [&reference, &kernels].map(|store| {
-            let gradient = store.get(variable);
-            flat(gradient.unwrap_or_else(|| panic!("{name} has no gradient")))
-        });
+        let [found, expected] = [reference.get(variable), kernels.get(name)]
+            .map(|gradient| flat(gradient.unwrap_or_else(|| panic!("{name} has no gradient"))));
+        assert_eq!(kernels[name].shape(), variable.shape(), "{name}");
         assert!(
             expected.iter().any(|value| *value != 0.0),
             "{name}: all zeros"

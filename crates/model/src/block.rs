@@ -1,8 +1,10 @@
 //! The Transformer blocks' weights, arranged for [`crate::kernels::blocks`].
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use candle_core::Tensor;
+use candle_core::backprop::GradStore;
+use candle_core::{Tensor, Var};
 
 use crate::config::{BodyMessages, ModelConfig};
 use crate::error::Result;
@@ -25,7 +27,9 @@ pub struct Tokens {
 /// All blocks.
 pub struct Blocks {
     count: usize,
-    /// One block's weights behind the other's, in the kernel's order.
+    /// One block's weights behind the other's, in the kernel's order. Of trainable blocks a variable
+    /// of its own, where a backward pass ends: candle would copy the gradients once more for each
+    /// step between the arranged weights and the parameters.
     weights: Tensor,
     transposes: Arc<Transposes>,
     own_slots: bool,
@@ -50,15 +54,69 @@ impl Blocks {
     pub(crate) fn new(config: &ModelConfig, source: &Source) -> Result<Self> {
         let mut weights = Vec::new();
         for index in 0..config.blocks {
-            push_block(source, index, &mut weights)?;
+            let names = Names::new(index);
+            let [output, output_bias] = Output::new(source.parameters, index)?.product()?;
+            for name in &names.all {
+                let weight = source.parameters.get(name)?.as_detached_tensor();
+                let weight = if *name == names.memory {
+                    // Memories are kept beside what is made of them.
+                    (&weight + Tensor::eye(weight.dim(0)?, weight.dtype(), weight.device())?)?
+                } else if *name == names.output[0] {
+                    output.clone()
+                } else if *name == names.output[1] {
+                    output_bias.clone()
+                } else {
+                    weight
+                };
+                weights.push(weight.flatten_all()?);
+            }
         }
+        let weights = Tensor::cat(&weights, 0)?;
         Ok(Self {
             count: config.blocks,
-            weights: Tensor::cat(&weights, 0)?,
+            weights: match source.trainable {
+                true => Var::from_tensor(&weights)?.into_inner(),
+                false => weights,
+            },
             transposes: Arc::default(),
             own_slots: config.body_messages == BodyMessages::Own,
             trainable: source.trainable,
         })
+    }
+
+    /// Gradients of the blocks' weights by name, from a backward pass through these blocks;
+    /// `parameters` are those that the blocks were made of. None if it did not reach them.
+    ///
+    /// # Errors
+    /// If a weight is missing.
+    pub fn gradients(
+        &self,
+        parameters: &Parameters,
+        store: &GradStore,
+    ) -> Result<BTreeMap<String, Tensor>> {
+        let mut all = BTreeMap::new();
+        let Some(gradient) = store.get(&self.weights) else {
+            return Ok(all);
+        };
+        let mut start = 0;
+        for index in 0..self.count {
+            let names = Names::new(index);
+            for name in &names.all {
+                let shape = parameters.get(name)?.shape();
+                let own = gradient.narrow(0, start, shape.elem_count())?;
+                start += shape.elem_count();
+                all.insert(name.clone(), own.reshape(shape)?);
+            }
+            let output = Output::new(parameters, index)?;
+            let [weight, bias] = names.output.each_ref().map(|name| &all[name]);
+            let [weight, scale, shift] = output.gradients(weight, bias)?;
+            all.insert(names.output[0].clone(), weight);
+            for (name, gradient) in output.names.iter().zip([scale, shift]) {
+                let shape = parameters.get(name)?.shape();
+                all.insert(name.clone(), gradient.reshape(shape)?);
+            }
+        }
+        Ok(all)
     }
 
     /// Patches' states `[P, 128]` after the last block.
@@ -97,45 +155,90 @@ impl Blocks {
     }
 }
 
-/// A block's weights in the kernel's order.
-fn push_block(source: &Source, index: usize, weights: &mut Vec<Tensor>) -> Result<()> {
-    let base = format!("backbone.encoder.layers.{index}");
-    let attention = |name: &str| format!("{base}.self_attn.attn.{name}");
-    let mut push = |tensor: &Tensor| -> Result<()> {
-        weights.push(tensor.flatten_all()?);
-        Ok(())
-    };
-    for name in ["receiver_weight", "q_proj.layers.0", "sender_weight"] {
-        push(&source.tensor(&attention(&format!("{name}.weight")))?)?;
+/// Names of a block's weights in the kernel's order; of the weight of memories, M = W_m + I is
+/// taken, of the output projection what [`Output`] makes of it.
+struct Names {
+    all: Vec<String>,
+    memory: String,
+    output: [String; 2],
+}
+
+impl Names {
+    fn new(index: usize) -> Self {
+        let base = format!("backbone.encoder.layers.{index}");
+        let attention = |name: &str| format!("{base}.self_attn.attn.{name}");
+        let memory = attention("memory_weight.weight");
+        let mut all = ["receiver_weight", "q_proj.layers.0", "sender_weight"]
+            .map(|name| attention(&format!("{name}.weight")))
+            .to_vec();
+        all.push(memory.clone());
+        for group in 0..GROUPS {
+            let mlp = attention(&format!("rs_mlp.group_layers.{group}.layers.0"));
+            all.push(group_rotation_name(index, group));
+            all.extend([format!("{mlp}.weight"), format!("{mlp}.bias")]);
+        }
+        let output = ["weight", "bias"].map(|kind| attention(&format!("proj.layers.0.{kind}")));
+        all.extend(output.clone());
+        for name in [
+            attention("r_proj.layers.0"),
+            attention("s_proj.layers.0"),
+            format!("{base}.ffn.layers.0.0"),
+            format!("{base}.ffn.layers.1"),
+            format!("{base}.norms.0"),
+            format!("{base}.norms.1"),
+            format!("{base}.res_norms.0"),
+            format!("{base}.res_norms.1"),
+        ] {
+            all.extend([format!("{name}.weight"), format!("{name}.bias")]);
+        }
+        Self {
+            all,
+            memory,
+            output,
+        }
     }
-    // Memories are kept beside what is made of them.
-    let memory = source.tensor(&attention("memory_weight.weight"))?;
-    push(&(&memory + Tensor::eye(memory.dim(0)?, memory.dtype(), memory.device())?)?)?;
-    for group in 0..GROUPS {
-        let mlp = attention(&format!("rs_mlp.group_layers.{group}.layers.0"));
-        push(&source.tensor(&group_rotation_name(index, group))?)?;
-        push(&source.tensor(&format!("{mlp}.weight"))?)?;
-        push(&source.tensor(&format!("{mlp}.bias"))?)?;
+}
+
+/// The output projection O, b, with the layer n (scale) and m (shift) before it multiplied into it:
+/// O' = O diag(n), b' = b + O m.
+struct Output {
+    weight: Tensor,
+    bias: Tensor,
+    /// n and m, `[1, 128]`, and their names.
+    scale: Tensor,
+    shift: Tensor,
+    names: [String; 2],
+}
+
+impl Output {
+    fn new(parameters: &Parameters, index: usize) -> Result<Self> {
+        let of = |name: &str| format!("backbone.encoder.layers.{index}.self_attn.attn.{name}");
+        let get = |name: &str| -> Result<Tensor> { Ok(parameters.get(name)?.as_detached_tensor()) };
+        let names = ["n_weight", "n_bias"].map(of);
+        Ok(Self {
+            weight: get(&of("proj.layers.0.weight"))?,
+            bias: get(&of("proj.layers.0.bias"))?,
+            scale: get(&names[0])?.reshape((1, ()))?,
+            shift: get(&names[1])?.reshape((1, ()))?,
+            names,
+        })
     }
-    // n_weight and n_bias multiplied into the output projection.
-    let output = source.tensor(&attention("proj.layers.0.weight"))?;
-    let bias = source.tensor(&attention("proj.layers.0.bias"))?;
-    let n_weight = source.tensor(&attention("n_weight"))?.flatten_all()?;
-    let n_bias = source.tensor(&attention("n_bias"))?.reshape((1, ()))?;
-    push(&output.broadcast_mul(&n_weight)?)?;
-    push(&linear(&n_bias, &output, &bias, Activation::None)?)?;
-    for name in [
-        attention("r_proj.layers.0"),
-        attention("s_proj.layers.0"),
-        format!("{base}.ffn.layers.0.0"),
-        format!("{base}.ffn.layers.1"),
-        format!("{base}.norms.0"),
-        format!("{base}.norms.1"),
-        format!("{base}.res_norms.0"),
-        format!("{base}.res_norms.1"),
-    ] {
-        push(&source.tensor(&format!("{name}.weight"))?)?;
-        push(&source.tensor(&format!("{name}.bias"))?)?;
+
+    /// O' and b'.
+    fn product(&self) -> Result<[Tensor; 2]> {
+        Ok([
+            self.weight.broadcast_mul(&self.scale)?,
+            linear(&self.shift, &self.weight, &self.bias, Activation::None)?,
+        ])
     }
-    Ok(())
+
+    /// Gradients of O, n and m from those of O' and b'; that of b is that of b'.
+    fn gradients(&self, weight: &Tensor, bias: &Tensor) -> Result<[Tensor; 3]> {
+        let row = bias.reshape((1, ()))?;
+        Ok([
+            (weight.broadcast_mul(&self.scale)? + row.t()?.matmul(&self.shift)?)?,
+            (weight * &self.weight)?.sum(0)?,
+            row.matmul(&self.weight)?,
+        ])
+    }
 }

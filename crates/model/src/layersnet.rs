@@ -7,8 +7,10 @@
 //! Shapes: P patches, A attribute rows, G body tokens (vertices, wind, gravity),
 //! N vertices, width 128.
 
+use std::collections::BTreeMap;
 use std::time::Instant;
 
+use candle_core::backprop::GradStore;
 use candle_core::{DType, Device, Tensor};
 use drape_dataset::sample::{Outfit, StatePair, Step};
 use drape_dataset::statistics::ColumnStatistics;
@@ -158,7 +160,7 @@ pub struct ForwardSeconds {
 }
 
 impl LayersNet {
-    /// The network whose weights receive gradients.
+    /// The network whose weights receive gradients, see [`LayersNet::gradients`].
     ///
     /// # Errors
     /// If a weight is missing.
@@ -234,6 +236,25 @@ impl LayersNet {
     /// The configuration.
     pub fn config(&self) -> &ModelConfig {
         &self.config
+    }
+
+    /// Gradients by name of the weights that a backward pass through this network reached;
+    /// `parameters` are those that it was made of.
+    ///
+    /// # Errors
+    /// If a weight is missing.
+    pub fn gradients(
+        &self,
+        parameters: &Parameters,
+        store: &GradStore,
+    ) -> Result<BTreeMap<String, Tensor>> {
+        let mut all = self.blocks.gradients(parameters, store)?;
+        for (name, variable) in parameters.iter() {
+            if let Some(gradient) = store.get(variable) {
+                all.insert(name.into(), gradient.clone());
+            }
+        }
+        Ok(all)
     }
 
     fn constant<const W: usize>(&self, rows: &[[f32; W]]) -> Result<Tensor> {

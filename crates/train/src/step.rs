@@ -158,12 +158,9 @@ pub fn sample_gradient(
         + form(&prediction.patch_acceleration, &by_patch)?)?;
     let store = total.backward()?;
     let mut gradients = Gradients::new();
-    for (name, variable) in parameters.iter() {
-        if is_idle(name, net.config()) {
-            continue;
-        }
-        if let Some(gradient) = store.get(variable) {
-            gradients.insert(name.to_string(), values(gradient)?);
+    for (name, gradient) in net.gradients(parameters, &store)? {
+        if !is_idle(&name, net.config()) {
+            gradients.insert(name, values(&gradient)?);
         }
     }
     Ok(SampleGradient {
