@@ -14,6 +14,7 @@ use drape_dataset::patches::{Csr, Patches};
 use drape_dataset::registry::GarmentKind;
 use drape_dataset::sample::{Outfit, Sample, State, StatePair, Step, pair};
 use drape_dataset::statistics::{ColumnStatistics, Trend};
+use drape_geometry::mesh::on_border;
 use drape_model::{LayersNet, ModelConfig, Parameters};
 use drape_train::adam::{Adam, Gradients};
 use drape_train::losses::orthogonality::orthogonality;
@@ -153,17 +154,21 @@ impl Case {
                 .collect())
         };
         let garment_offsets = inputs.indices(&name("indices"))?;
+        let body_vertices = match inputs.indices(&name("h_indices"))?.as_slice() {
+            [first, .., last] => last - first,
+            other => {
+                anyhow::bail!("h_indices is {other:?}, expected the body's first row and its end")
+            }
+        };
+        let (faces, body_faces) = (faces(&name("faces"))?, faces(&name("h_faces"))?);
         let outfit = Outfit {
             kinds: vec![GarmentKind::Dress; garment_offsets.len() - 1],
+            on_border: on_border(of_vertex.rows(), &faces),
             garment_offsets,
-            faces: faces(&name("faces"))?,
-            body_vertices: match inputs.indices(&name("h_indices"))?.as_slice() {
-                [first, .., last] => last - first,
-                other => anyhow::bail!(
-                    "h_indices is {other:?}, expected the body's first row and its end"
-                ),
-            },
-            body_faces: faces(&name("h_faces"))?,
+            faces,
+            body_vertices,
+            body_on_border: on_border(body_vertices, &body_faces),
+            body_faces,
             patches: Patches {
                 members: Csr::from_pairs(patches, membership),
                 of_vertex,

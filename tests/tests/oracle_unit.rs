@@ -16,6 +16,7 @@ use drape_dataset::patches::{Csr, Patches};
 use drape_dataset::registry::GarmentKind;
 use drape_dataset::sample::{Outfit, rotation_matrix};
 use drape_geometry::grid::Grid;
+use drape_geometry::mesh::on_border;
 use drape_geometry::normals::face_normals;
 use drape_model::block::{Blocks, Tokens};
 use drape_model::frames::{Matrix, frame};
@@ -398,15 +399,23 @@ fn losses_and_their_gradients() {
             garment_offsets: file.indices("offsets").unwrap(),
             kinds: vec![GarmentKind::Jumpsuit, GarmentKind::Jacket],
             faces: garment_faces.clone(),
+            on_border: on_border(predicted.len(), &garment_faces),
             body_vertices: body.len(),
             body_faces: faces("body_f"),
+            body_on_border: on_border(body.len(), &faces("body_f")),
             patches: Patches::default(),
             attributes: Vec::new(),
             patch_attributes: Csr::default(),
         };
         let normals = MeshNormals::new(&predicted, &garment_faces);
         let config = LossConfig::released().collision;
-        let on_body = body_collision(&config, &predicted, &body, &outfit.body_faces);
+        let on_body = body_collision(
+            &config,
+            &predicted,
+            &body,
+            &outfit.body_faces,
+            &outfit.body_on_border,
+        );
         let between = layer_collision(&config, &outfit, &predicted, &normals);
         close(
             "layer loss",

@@ -11,6 +11,8 @@
 
 use std::sync::Arc;
 
+use drape_geometry::mesh::on_border;
+
 use crate::error::DatasetError;
 use crate::patches::{Csr, Patches};
 use crate::registry::GarmentKind;
@@ -43,10 +45,14 @@ pub struct Outfit {
     pub kinds: Vec<GarmentKind>,
     /// Triangles of all garments in the outfit's vertex numbering.
     pub faces: Vec<[u32; 3]>,
+    /// Whether each vertex lies on its garment's border.
+    pub on_border: Vec<bool>,
     /// Number of body vertices.
     pub body_vertices: usize,
     /// Triangles of the body.
     pub body_faces: Vec<[u32; 3]>,
+    /// Whether each body vertex lies on a border: where a scan may be cut.
+    pub body_on_border: Vec<bool>,
     /// Patches of all garments.
     pub patches: Patches,
     /// Distinct attribute rows, `[attribute row, 5]`, each column mapped to 0–1.
@@ -108,8 +114,10 @@ impl Outfit {
         Ok(Self {
             garment_offsets,
             kinds: header.garments.iter().map(|garment| garment.kind).collect(),
+            on_border: on_border(attribute_of_vertex.len(), &faces),
             faces,
             body_vertices: header.body.vertex_count,
+            body_on_border: on_border(header.body.vertex_count, &header.body.faces),
             body_faces: header.body.faces.clone(),
             patches,
             attributes,

@@ -30,6 +30,15 @@ pub fn boundary_edges(faces: &[[u32; 3]]) -> Vec<[u32; 2]> {
         .collect()
 }
 
+/// Whether each vertex lies on an edge with exactly one face; `[vertex]`.
+pub fn on_border(vertex_count: usize, faces: &[[u32; 3]]) -> Vec<bool> {
+    let mut on_border = vec![false; vertex_count];
+    for vertex in boundary_edges(faces).into_iter().flatten() {
+        on_border[vertex as usize] = true;
+    }
+    on_border
+}
+
 /// Component of each vertex, numbered from 0 in the order of lowest vertices; `[vertex]`.
 /// A vertex without faces is a component of its own.
 pub fn components(vertex_count: usize, faces: &[[u32; 3]]) -> Vec<u32> {

@@ -227,10 +227,9 @@ impl FrameGraph {
         let mut row_of = vec![u32::MAX; body.len()];
         if has_body {
             let normals = vertex_normals(&body, &outfit.body_faces);
-            body_frames = normals
-                .iter()
-                .map(|&normal| frame(normal, config.frame_axis))
-                .collect();
+            body_frames = each(body.len(), |vertex, _| {
+                frame(normals[vertex], config.frame_axis)
+            });
             let grid = Grid::build(&body, config.body_radius);
             slots_of_patch = each(patches.count(), |patch, found| {
                 body_slots(config, centres[patch], &grid, found)

@@ -357,7 +357,7 @@ impl LayersNet {
                 state,
                 frame: anchor.frame,
                 patch,
-                body: anchor.row,
+                body: anchor.row.map(|row| patches as u32 + row),
             }
         };
         let mut rows = vec![FeatureRow::default(); pairs + patches];
@@ -369,12 +369,8 @@ impl LayersNet {
                 }
             },
         );
-        let body_numbers = if graph.body_rows.is_empty() {
-            Tensor::zeros((0, 3), self.dtype, &Device::Cpu)?
-        } else {
-            let body_rows = encoded.narrow(0, patches, graph.body_rows.len())?;
-            crate::kernels::linear::product(&body_rows, &self.rotation)?
-        };
+        // Of all rows: cheaper than cutting out the body's, which come after the patches'.
+        let body_numbers = crate::kernels::linear::product(encoded, &self.rotation)?;
         let features = features(&patch_numbers, &body_numbers, rows)?;
         // The last layer is linear, so the mean over a vertex's patches is taken before it;
         // a patch has one row of its own.

@@ -209,8 +209,13 @@ pub fn all_terms(
         config.normal,
     );
     if with_collisions && config.body_collision > 0.0 && outfit.body_vertices > 0 {
-        let term =
-            collision::body_collision(&config.collision, predicted, &step.body, &outfit.body_faces);
+        let term = collision::body_collision(
+            &config.collision,
+            predicted,
+            &step.body,
+            &outfit.body_faces,
+            &outfit.body_on_border,
+        );
         values.body_collision = add(&term, config.body_collision);
     }
     if with_collisions && config.layer_collision > 0.0 && outfit.garments() > 1 {

@@ -27,10 +27,7 @@ pub(crate) fn for_all<I: Send>(pieces: Vec<I>, work: impl Fn(I) + Send + Sync) {
 }
 
 /// [`for_all`] with room for work that pieces leave to each other, in any state.
-pub(crate) fn for_all_with<I: Send, R: Default>(
-    pieces: Vec<I>,
-    work: impl Fn(&mut R, I) + Send + Sync,
-) {
+pub fn for_all_with<I: Send, R: Default>(pieces: Vec<I>, work: impl Fn(&mut R, I) + Send + Sync) {
     if rayon::current_thread_index().is_some() {
         let mut room = R::default();
         pieces.into_iter().for_each(|piece| work(&mut room, piece));

@@ -9,12 +9,14 @@
 //! touching vertex weighs as much as a thousand. The default limits the reach,
 //! skips nearest vertices on a border, and divides by the number of vertices.
 
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 
 use drape_dataset::sample::{Outfit, StatePair};
 use drape_geometry::grid::Grid;
-use drape_geometry::mesh::boundary_edges;
 use drape_geometry::normals::vertex_normals;
+use drape_model::kernels::for_all_with;
 
 use super::normal::{MeshNormals, dot};
 use super::{Term, Vector};
@@ -58,7 +60,11 @@ impl Default for CollisionConfig {
     }
 }
 
+/// Vertices that one thread tests at a time.
+const PIECE: usize = 64;
+
 /// One hit: tested vertex, obstacle vertex, signed distance s.
+#[derive(Clone, Copy)]
 struct Hit {
     vertex: usize,
     nearest: usize,
@@ -71,7 +77,8 @@ fn narrow(x: Vector) -> [f32; 3] {
 
 fn hits(
     config: &CollisionConfig,
-    tested: impl Iterator<Item = (usize, Vector)>,
+    predicted: &[Vector],
+    tested: Range<usize>,
     obstacle: &[Vector],
     normals: &[Vector],
     on_border: &[bool],
@@ -80,25 +87,34 @@ fn hits(
         &obstacle.iter().map(|&x| narrow(x)).collect::<Vec<_>>(),
         SEARCH_CELL,
     );
-    let mut near = Vec::new();
-    tested
-        .filter_map(|(vertex, x)| {
-            let nearest = match config.reach {
-                Some(reach) => {
-                    grid.k_nearest(narrow(x), 1, reach as f32, &mut near);
-                    near.first().copied()
-                }
-                None => grid.nearest(narrow(x)),
-            };
-            let nearest = nearest?.0 as usize;
-            if config.skip_borders && on_border[nearest] {
-                return None;
+    let find = |near: &mut Vec<(u32, f32)>, vertex: usize| {
+        let x = predicted[vertex];
+        let nearest = match config.reach {
+            Some(reach) => {
+                grid.k_nearest(narrow(x), 1, reach as f32, near);
+                near.first().copied()
             }
-            let apart = [0, 1, 2].map(|axis| x[axis] - obstacle[nearest][axis]);
-            let s = dot(normals[nearest], apart) - config.threshold;
-            (s < 0.0).then_some(Hit { vertex, nearest, s })
-        })
-        .collect()
+            None => grid.nearest(narrow(x)),
+        };
+        let nearest = nearest?.0 as usize;
+        if config.skip_borders && on_border[nearest] {
+            return None;
+        }
+        let apart = [0, 1, 2].map(|axis| x[axis] - obstacle[nearest][axis]);
+        let s = dot(normals[nearest], apart) - config.threshold;
+        (s < 0.0).then_some(Hit { vertex, nearest, s })
+    };
+    let mut found: Vec<Option<Hit>> = vec![None; tested.len()];
+    let pieces = found.chunks_mut(PIECE).enumerate().collect();
+    for_all_with(
+        pieces,
+        |near, (piece, found): (usize, &mut [Option<Hit>])| {
+            for (vertex, to) in (tested.start + piece * PIECE..).zip(found) {
+                *to = find(near, vertex);
+            }
+        },
+    );
+    found.into_iter().flatten().collect()
 }
 
 fn divisor(config: &CollisionConfig, hits: usize, tested: usize) -> f64 {
@@ -109,29 +125,21 @@ fn divisor(config: &CollisionConfig, hits: usize, tested: usize) -> f64 {
         }
 }
 
-fn border(vertices: usize, faces: &[[u32; 3]]) -> Vec<bool> {
-    let mut on_border = vec![false; vertices];
-    for vertex in boundary_edges(faces).into_iter().flatten() {
-        on_border[vertex as usize] = true;
-    }
-    on_border
-}
-
-/// Garment vertices inside the body; the body is given.
+/// Garment vertices inside the body; the body is given. `on_border` of each body vertex as in
+/// [`Outfit`].
 pub fn body_collision(
     config: &CollisionConfig,
     predicted: &[Vector],
     body: &[StatePair],
     body_faces: &[[u32; 3]],
+    on_border: &[bool],
 ) -> Term {
     let body: Vec<[f32; 3]> = body.iter().map(|row| [row[0], row[1], row[2]]).collect();
     let wide = |x: &[f32; 3]| x.map(f64::from);
     let normals: Vec<Vector> = vertex_normals(&body, body_faces).iter().map(wide).collect();
     let obstacle: Vec<Vector> = body.iter().map(wide).collect();
-    // The body is closed, apart from where a scan may be cut.
-    let on_border = border(body.len(), body_faces);
-    let tested = predicted.iter().copied().enumerate();
-    let hits = hits(config, tested, &obstacle, &normals, &on_border);
+    let tested = 0..predicted.len();
+    let hits = hits(config, predicted, tested, &obstacle, &normals, on_border);
     let divisor = divisor(config, hits.len(), predicted.len());
     let mut term = Term::zero(predicted.len());
     for hit in hits {
@@ -151,20 +159,13 @@ pub fn layer_collision(
     normals: &MeshNormals,
 ) -> Term {
     let inner = outfit.garment_offsets[outfit.garments() - 1];
-    let tested = predicted.iter().copied().enumerate().skip(inner);
-    let inner_faces: Vec<[u32; 3]> = outfit
-        .faces
-        .iter()
-        .copied()
-        .filter(|face| (face[0] as usize) < inner)
-        .collect();
-    let on_border = border(inner, &inner_faces);
     let hits = hits(
         config,
-        tested,
+        predicted,
+        inner..predicted.len(),
         &predicted[..inner],
         &normals.normals[..inner],
-        &on_border,
+        &outfit.on_border[..inner],
     );
     let divisor = divisor(config, hits.len(), predicted.len() - inner);
     let mut term = Term::zero(predicted.len());

@@ -1,6 +1,7 @@
 //! What counts as a hit: δ, the reach, borders, the divisor; each threshold with
 //! its two neighbours.
 
+use drape_geometry::mesh::on_border;
 use drape_train::losses::collision::{CollisionConfig, CollisionMean, body_collision};
 use drape_train::losses::{LossConfig, Vector};
 
@@ -9,7 +10,14 @@ use crate::{body, sheet, sheet_faces};
 /// Value of one vertex above or below the middle of a flat sheet of spacing 4.
 fn value(config: &CollisionConfig, vertex: Vector) -> f64 {
     let flat = body(&sheet(3, 4.0, |_, _| 0.0));
-    body_collision(config, &[vertex], &flat, &sheet_faces(3, 0)).value
+    body_collision(
+        config,
+        &[vertex],
+        &flat,
+        &sheet_faces(3, 0),
+        &on_border(9, &sheet_faces(3, 0)),
+    )
+    .value
 }
 
 #[test]
@@ -73,7 +81,14 @@ fn the_divisor_is_the_vertices_by_default_and_the_hits_as_released() {
             mean,
             ..CollisionConfig::default()
         };
-        body_collision(&config, &tested, &flat, &sheet_faces(3, 0)).value
+        body_collision(
+            &config,
+            &tested,
+            &flat,
+            &sheet_faces(3, 0),
+            &on_border(9, &sheet_faces(3, 0)),
+        )
+        .value
     };
     let (vertices, hits) = (of(CollisionMean::Vertices), of(CollisionMean::Hits));
     assert!(
@@ -90,7 +105,13 @@ fn without_hits_value_and_gradient_are_zero() {
         LossConfig::default().collision,
         LossConfig::released().collision,
     ] {
-        let term = body_collision(&config, &[[0.0, 0.0, 0.5]; 3], &flat, &sheet_faces(3, 0));
+        let term = body_collision(
+            &config,
+            &[[0.0, 0.0, 0.5]; 3],
+            &flat,
+            &sheet_faces(3, 0),
+            &on_border(9, &sheet_faces(3, 0)),
+        );
         assert_eq!(term.value, 0.0);
         assert_eq!(term.gradient, [[0.0; 3]; 3]);
     }

@@ -1,6 +1,7 @@
 //! Gradients by position against central differences. Step 1e-6: the formula's own
 //! error is 1e-12, rounding adds 1e-10; hits and nearest vertices do not change.
 
+use drape_geometry::mesh::on_border;
 use drape_train::losses::collision::{body_collision, layer_collision};
 use drape_train::losses::normal::{MeshNormals, normal_loss};
 use drape_train::losses::{LossConfig, Term, Vector, squared_error};
@@ -68,7 +69,13 @@ fn body_collision_in_both_presets() {
         LossConfig::released().collision,
     ] {
         check(&x, |x| {
-            body_collision(&config, x, &body_rows, &sheet_faces(7, 0))
+            body_collision(
+                &config,
+                x,
+                &body_rows,
+                &sheet_faces(7, 0),
+                &on_border(49, &sheet_faces(7, 0)),
+            )
         });
     }
 }

@@ -13,6 +13,7 @@ mod sway;
 use drape_dataset::patches::{Csr, Patches};
 use drape_dataset::registry::GarmentKind;
 use drape_dataset::sample::{Outfit, StatePair};
+use drape_geometry::mesh::on_border;
 use drape_train::losses::Vector;
 
 /// Triangles of a sheet of `side × side` vertices, starting at vertex `first`, facing +z.
@@ -52,11 +53,13 @@ fn body(positions: &[Vector]) -> Vec<StatePair> {
 /// An outfit of two garments for the layer loss, without patches.
 fn outfit(inner: usize, outer: usize, faces: Vec<[u32; 3]>) -> Outfit {
     Outfit {
+        on_border: on_border(inner + outer, &faces),
         garment_offsets: vec![0, inner, inner + outer],
         kinds: vec![GarmentKind::Dress, GarmentKind::Jacket],
         faces,
         body_vertices: 0,
         body_faces: Vec::new(),
+        body_on_border: Vec::new(),
         patches: Patches::default(),
         attributes: Vec::new(),
         patch_attributes: Csr::default(),
