@@ -23,9 +23,10 @@ use crate::graph::{FrameGraph, turned};
 use crate::kernels::decoder::{Segments, decode};
 use crate::kernels::features::{FeatureRow, features};
 use crate::kernels::for_all;
-use crate::kernels::layer_norm::layer_norm;
+use crate::kernels::layer_norm::{layer_norm, layer_norm_first};
 use crate::kernels::linear::{Activation, linear};
 use crate::kernels::row_map::{RowMap, map_rows};
+use crate::kernels::rows::take_rows;
 use crate::parameters::{Parameters, rotation_name};
 
 /// Decoder rows that one thread puts together at a time.
@@ -52,6 +53,10 @@ pub(crate) struct Norm {
 impl Norm {
     pub(crate) fn apply(&self, x: &Tensor) -> Result<Tensor> {
         Ok(layer_norm(x, &self.weight, &self.bias)?)
+    }
+
+    fn apply_first(&self, x: &Tensor, rows: usize) -> Result<Tensor> {
+        Ok(layer_norm_first(x, rows, &self.weight, &self.bias)?)
     }
 }
 
@@ -298,22 +303,23 @@ impl LayersNet {
                 .map(|&vertex| normalise(&step.body[vertex as usize])),
         );
         let encoded = self.states.apply(&self.constant(&rows)?)?;
-        let patch_tokens = encoded.narrow(0, 0, patches)?;
         let attribute_tokens = self.attributes.apply(&self.constant(&outfit.attributes)?)?;
         let wind_token = self.wind.apply(&self.constant(&[step.wind])?)?;
         let gravity_token = self.gravity.apply(&self.constant(&[step.gravity])?)?;
-        let body_tokens = encoded.narrow(0, patches, graph.body_tokens)?;
 
         // Receivers, and senders: patches, attributes, then body tokens.
-        let particles = Tensor::cat(&[&patch_tokens, &attribute_tokens], 0)?;
-        let body = Tensor::cat(&[&body_tokens, &wind_token, &gravity_token], 0)?;
-        let senders = self.sender.apply(&Tensor::cat(&[&particles, &body], 0)?)?;
+        let others = Tensor::cat(&[&attribute_tokens, &wind_token, &gravity_token], 0)?;
+        let attributes = outfit.attributes.len();
+        let particles = (0..patches).chain(rows.len()..rows.len() + attributes);
+        let forces = rows.len() + attributes..rows.len() + attributes + 2;
+        let body = (patches..patches + graph.body_tokens).chain(forces);
+        let order = particles.chain(body).map(|row| row as u32).collect();
+        let all = take_rows(&encoded, &others, order)?;
+        let receivers = self.receiver.apply(&all.narrow(0, 0, patches)?)?;
         let tokens = Tokens {
-            state: Tensor::cat(&[&self.particle_norm.apply(&particles)?, &body], 0)?,
-            receiver: self
-                .receiver_norm
-                .apply(&self.receiver.apply(&patch_tokens)?)?,
-            sender: self.sender_norm.apply(&senders)?,
+            state: self.particle_norm.apply_first(&all, patches + attributes)?,
+            receiver: self.receiver_norm.apply(&receivers)?,
+            sender: self.sender_norm.apply(&self.sender.apply(&all)?)?,
         };
         seconds.encoders = lap();
         let embedding = self.blocks.patches(&tokens, &graph.edges)?;

@@ -18,11 +18,24 @@ const LANES: usize = 16;
 /// # Errors
 /// Shapes that do not fit, or a type other than f32 and f64.
 pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
-    x.contiguous()?
-        .apply_op3(&weight.contiguous()?, &bias.contiguous()?, LayerNorm)
+    layer_norm_first(x, x.dim(0)?, weight, bias)
 }
 
-struct LayerNorm;
+/// Layer norm of each of the first `rows` rows; the others pass as they are.
+///
+/// # Errors
+/// As [`layer_norm`], or fewer rows.
+pub fn layer_norm_first(x: &Tensor, rows: usize, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
+    x.contiguous()?.apply_op3(
+        &weight.contiguous()?,
+        &bias.contiguous()?,
+        LayerNorm { rows },
+    )
+}
+
+struct LayerNorm {
+    rows: usize,
+}
 
 /// Sum of `term(i)` over `0..width` in sixteen interleaved lanes: a fixed order that vectorises.
 #[inline(always)]
@@ -105,7 +118,10 @@ impl CustomOp3 for LayerNorm {
         s3: &CpuStorage,
         l3: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
-        let (_, width) = l1.shape().dims2()?;
+        let (rows, width) = l1.shape().dims2()?;
+        if self.rows > rows {
+            candle_core::bail!("layer norm: {rows} rows, expected at least {}", self.rows);
+        }
         if l2.shape().elem_count() != width || l3.shape().elem_count() != width {
             candle_core::bail!(
                 "layer norm: rows of {width}, weight {:?}, bias {:?}",
@@ -118,7 +134,10 @@ impl CustomOp3 for LayerNorm {
             let mut y = vec![<T as num_traits::Zero>::zero(); x.len()];
             let (w, b) = (operand::<T>(s2, l2)?, operand::<T>(s3, l3)?);
             let block = (BLOCK_ROWS * width).max(1);
-            let blocks = x.chunks(block).zip(y.chunks_mut(block)).collect();
+            let (normed, others) = y.split_at_mut(self.rows * width);
+            others.copy_from_slice(&x[self.rows * width..]);
+            let x = &x[..self.rows * width];
+            let blocks = x.chunks(block).zip(normed.chunks_mut(block)).collect();
             for_all(blocks, |(x, y): (&[T], &mut [T])| run_forward::<T>(x, w, b, y));
             Ok((<T as candle_core::WithDType>::to_cpu_storage_owned(y), l1.shape().clone()))
         })
@@ -138,9 +157,12 @@ impl CustomOp3 for LayerNorm {
             let (w, g, input): (&[T], &[T], &[T]) = (&w, &g, &input);
             let (width, block) = (w.len(), (BLOCK_ROWS * w.len()).max(1));
             let mut dx = vec![zero; g.len()];
+            let (g, others) = g.split_at(self.rows * width);
+            let (normed, passed) = dx.split_at_mut(self.rows * width);
+            passed.copy_from_slice(others);
             // Each block sums its own part of dw and db; the parts are added in order.
             let mut parts = vec![zero; 2 * width * g.len().div_ceil(block)];
-            let blocks = input.chunks(block).zip(g.chunks(block)).zip(dx.chunks_mut(block));
+            let blocks = input.chunks(block).zip(g.chunks(block)).zip(normed.chunks_mut(block));
             let blocks = blocks.zip(parts.chunks_mut((2 * width).max(1))).collect();
             type Piece<'a, T> = (((&'a [T], &'a [T]), &'a mut [T]), &'a mut [T]);
             for_all(blocks, |(((x, g), dx), part): Piece<T>| {

@@ -15,18 +15,19 @@ pub mod layer_norm;
 pub mod linear;
 mod product;
 pub mod row_map;
+pub mod rows;
 
 use candle_core::{CpuStorage, Layout, Result, Tensor, WithDType};
 use rayon::prelude::*;
 
-/// Does independent pieces of work: in parallel, unless this thread already is one of a
-/// pool's (training then runs samples side by side). What a piece computes must not depend
-/// on who does it.
+/// [`for_all_with`] without room for work.
 pub(crate) fn for_all<I: Send>(pieces: Vec<I>, work: impl Fn(I) + Send + Sync) {
     for_all_with(pieces, |(), piece| work(piece));
 }
 
-/// [`for_all`] with room for work that pieces leave to each other, in any state.
+/// Does independent pieces of work: in parallel, unless this thread already is one of a
+/// pool's (training then runs samples side by side). What a piece computes must not depend
+/// on who does it. Pieces leave room for work to each other, in any state.
 pub fn for_all_with<I: Send, R: Default>(pieces: Vec<I>, work: impl Fn(&mut R, I) + Send + Sync) {
     if rayon::current_thread_index().is_some() {
         let mut room = R::default();

@@ -1,7 +1,7 @@
 //! Layer norm over the last axis.
 
 use candle_core::{DType, Device, Tensor};
-use drape_model::kernels::layer_norm::layer_norm;
+use drape_model::kernels::layer_norm::{layer_norm, layer_norm_first};
 
 use crate::{POISON, bits, difference, finite_differences, flat, ones_with, random};
 
@@ -35,6 +35,19 @@ fn gradients_equal_finite_differences() {
         |t| layer_norm(&t[0].t()?, &t[1], &t[2]),
         1e-8,
     );
+}
+
+#[test]
+fn rows_behind_the_first_pass_as_they_are() {
+    let [x, w, b] = sizes();
+    let y = layer_norm_first(&x, 3, &w, &b).unwrap();
+    let whole = layer_norm(&x, &w, &b).unwrap();
+    let part = |tensor: &Tensor, start, rows| flat(&tensor.narrow(0, start, rows).unwrap());
+    assert_eq!(part(&y, 0, 3), part(&whole, 0, 3));
+    assert_eq!(part(&y, 3, 1), part(&x, 3, 1));
+    finite_differences::check(&sizes(), |t| layer_norm_first(&t[0], 3, &t[1], &t[2]), 1e-8);
+    let message = layer_norm_first(&x, 5, &w, &b).unwrap_err().to_string();
+    assert!(message.contains("at least 5"), "{message}");
 }
 
 #[test]

@@ -11,6 +11,7 @@ mod finite_differences;
 mod layer_norm;
 mod linear;
 mod row_map;
+mod rows;
 mod threads;
 
 use candle_core::{Device, Shape, Tensor};
