@@ -12,7 +12,7 @@
 //! give 0. Only listed entries are computed, so nothing is masked after dividing;
 //! |r − s|² is summed directly and kept above 1e-12.
 //!
-//! Inside, a token's channels are in another order ([`place_of`]): world heads, then mesh
+//! Inside, a token's channels are in another order (`place_of`): world heads, then mesh
 //! heads; of each kind channel by channel the numbers of the four groups. A pass takes one
 //! sender after the other, all groups at once, and never turns rows into columns.
 //!
