@@ -386,6 +386,9 @@ impl FrameGraph {
     /// What a trend adds to the accelerations: of each vertex relative to its own patch, then of
     /// each patch, `[N + P]` in units/frame².
     pub fn trend(&self, trend: &Trend, state: &[StatePair], step: &Step) -> Vec<[f32; 3]> {
+        if *trend == Trend::default() {
+            return vec![[0.0; 3]; state.len() + self.patch_states.len()];
+        }
         let of = |patch: usize, state: &StatePair| {
             trend.acceleration(&self.trend_terms(patch, state, step))
         };

@@ -66,7 +66,7 @@ impl Default for Schedule {
             halve_every_epochs: 2,
             warm_up_epochs: 1,
             max_steps_without_gradient: 9,
-            sway: 0.3,
+            sway: 0.1,
             first_frame: 2,
         }
     }
