@@ -275,9 +275,7 @@ impl Step {
             gravity: normalised_gravity,
         }
     }
-}
 
-impl Step {
     /// Change of the wind from this frame to the next: direction times strength/400.
     pub fn gust(&self) -> [f32; 3] {
         let wind = |frame: usize, axis: usize| {
