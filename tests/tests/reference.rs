@@ -19,9 +19,11 @@ use rand::Rng;
 
 /// Powers of two, for the same reason as the deviations below.
 const TREND: Trend = Trend {
-    persistence: 0.5,
-    damping: 0.125,
-    follow: 0.25,
+    persistence: [0.25, 0.5, 0.5],
+    damping: [0.0625, 0.125, 0.125],
+    follow: [0.25, 0.125, 0.0625],
+    carry: [0.5, 0.25, 0.125],
+    air: 0.03125,
     gust: 0.0625,
 };
 

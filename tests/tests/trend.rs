@@ -1,6 +1,6 @@
 //! The trend of accelerations: what it adds to a prediction, and that its fit is the best one.
 
-use drape_dataset::sample::{Outfit, StatePair, Step};
+use drape_dataset::sample::{StatePair, Step};
 use drape_dataset::splits::Split;
 use drape_dataset::statistics::Trend;
 use drape_model::{FrameGraph, LayersNet, ModelConfig, Parameters};
@@ -10,40 +10,49 @@ use drape_train::config::TrainConfig;
 use drape_train::data::TrainingSet;
 
 const TREND: Trend = Trend {
-    persistence: 0.5,
-    damping: 0.06,
-    follow: 0.2,
+    persistence: [0.3, 0.5, 0.7],
+    damping: [0.01, 0.03, 0.06],
+    follow: [0.25, 0.1, 0.02],
+    carry: [0.5, 0.3, 0.04],
+    air: 0.03,
     gust: 0.05,
 };
 
-/// The formula, written out for one vertex that moves with a patch.
-fn by_hand(
-    trend: &Trend,
-    (config, outfit): (&ModelConfig, &Outfit),
-    (vertex, state): (usize, &[StatePair]),
-    step: &Step,
-) -> [f32; 3] {
-    let own = outfit.patches.of_vertex.row(vertex)[0] as usize;
-    let members = outfit.patches.members.row(own);
-    let centre = [0, 1, 2].map(|axis| {
-        let sum: f32 = members.iter().map(|&v| state[v as usize][axis]).sum();
-        sum / members.len() as f32
-    });
-    let squared =
-        |body: &StatePair| -> f32 { (0..3).map(|axis| (body[axis] - centre[axis]).powi(2)).sum() };
+/// The number at a distance: linear between those that are given, constant beyond.
+fn at(distance: f32, numbers: [f32; 3]) -> f32 {
+    let [near, middle, far] = Trend::BANDS;
+    let line = |low: f32, high: f32, from: f32, to: f32| {
+        from + (to - from) * (distance - low) / (high - low)
+    };
+    match distance {
+        d if d <= near => numbers[0],
+        d if d <= middle => line(near, middle, numbers[0], numbers[1]),
+        d if d <= far => line(middle, far, numbers[1], numbers[2]),
+        _ => numbers[2],
+    }
+}
+
+/// The formula, written out for one vertex.
+fn by_hand(trend: &Trend, mass: f32, sight: f32, row: &StatePair, step: &Step) -> [f32; 3] {
+    let distance = |body: &StatePair| -> f32 {
+        let squared: f32 = (0..3).map(|axis| (body[axis] - row[axis]).powi(2)).sum();
+        squared.sqrt()
+    };
     let nearest = step
         .body
         .iter()
-        .min_by(|a, b| squared(a).total_cmp(&squared(b)));
-    let row = &state[vertex];
+        .min_by(|a, b| distance(a).total_cmp(&distance(b)))
+        .filter(|body| distance(body) < sight);
+    let d = nearest.map_or(f32::INFINITY, distance);
     [0, 1, 2].map(|axis| {
         let (v, older) = (row[3 + axis], row[9 + axis]);
-        let along_skin = nearest.map_or(0.0, |body| {
-            let far = squared(body) / config.patch_sight.powi(2);
-            (1.0 - far).max(0.0).powi(2) * (v - body[3 + axis])
+        let skin = nearest.map_or(0.0, |body| {
+            let (skin, earlier) = (body[3 + axis], body[9 + axis]);
+            at(d, trend.carry) * (skin - earlier) - at(d, trend.follow) * (v - skin)
         });
-        trend.persistence * (v - older) - trend.damping * v - trend.follow * along_skin
-            + trend.gust * step.gust()[axis]
+        let still = at(d, trend.persistence) * (v - older) - at(d, trend.damping) * v;
+        let air = trend.air * step.wind[10] / mass;
+        still + skin - air * v + trend.gust * step.gust()[axis]
     })
 }
 
@@ -74,8 +83,11 @@ fn it_adds_the_formula_to_each_vertex() {
         });
         let (mut largest, step) = (0f32, &sample.steps[0]);
         for (vertex, (with, without)) in with.iter().zip(&without).enumerate() {
-            let outfit = (&config, &*sample.outfit);
-            let expected = by_hand(&TREND, outfit, (vertex, &sample.state), step);
+            let layer = (vertex >= sample.outfit.garment_offsets[1]) as u8;
+            // As the scene's materials have it.
+            let mass = 0.3 + 0.1 * f32::from(layer);
+            let row = &sample.state[vertex];
+            let expected = by_hand(&TREND, mass, config.patch_sight, row, step);
             for axis in 0..3 {
                 let found = with[axis] - without[axis];
                 assert!((found - expected[axis]).abs() < 1e-5, "vertex {vertex}");
@@ -125,24 +137,12 @@ fn the_fit_is_the_least_squares() {
     let least = misfit(&set, &config, &best);
     assert!(least < misfit(&set, &config, &Trend::default()));
     for change in [-0.02, 0.02] {
-        let changed = [
-            Trend {
-                persistence: best.persistence + change,
-                ..best
-            },
-            Trend {
-                damping: best.damping + change,
-                ..best
-            },
-            Trend {
-                follow: best.follow + change,
-                ..best
-            },
-            Trend {
-                gust: best.gust + change,
-                ..best
-            },
-        ];
+        let weights = best.weights();
+        let changed = (0..Trend::TERMS).map(|term| {
+            let mut weights = weights;
+            weights[term] += change;
+            Trend::of_weights(weights)
+        });
         for other in changed {
             let misfit = misfit(&set, &config, &other);
             assert!(

@@ -35,6 +35,8 @@ const ATTRIBUTE_RANGES: [(f32, f32); 5] = [
     (40.0, 80.0),
     (40.0, 80.0),
 ];
+/// Column of the mass.
+const MASS: usize = 2;
 
 /// What a sequence's garments and body are, apart from where they are.
 #[derive(Clone, Debug, PartialEq)]
@@ -131,6 +133,13 @@ impl Outfit {
             .garment_offsets
             .last()
             .expect("one entry more than garments")
+    }
+
+    /// Vertex mass of a patch's garment in the paper's units.
+    pub fn mass(&self, patch: usize) -> f32 {
+        let row = self.patch_attributes.row(patch)[0];
+        let (low, high) = ATTRIBUTE_RANGES[MASS];
+        low + self.attributes[row as usize][MASS] * (high - low)
     }
 
     /// Number of garments.
@@ -274,6 +283,11 @@ impl Step {
             wind_rotations: [next, now].map(|states| rotation_matrix(states.wind.rotation)),
             gravity: normalised_gravity,
         }
+    }
+
+    /// Coming strength of the wind, of 400.
+    pub fn wind_strength(&self) -> f32 {
+        self.wind[10]
     }
 
     /// Change of the wind from this frame to the next: direction times strength/400.

@@ -89,31 +89,114 @@ impl Moments {
 }
 
 /// What a vertex's next acceleration owes to its own motion, on average over a training set:
-/// `persistence · a − damping · v − follow · s · (v − v_skin) + gust · Δw`.
+/// `persistence · a − damping · v − follow · (v − v_skin) + carry · a_skin − air · w/m · v + gust · Δw`.
 ///
 /// v and a are velocity and last acceleration relative to the root, v_skin the coming velocity of
-/// the nearest body vertex, s how near it is (1 at the skin, 0 out of sight), Δw the coming change
-/// of the wind (direction times strength/400). All zero: none.
+/// the nearest body vertex and a_skin its change (both absent where no body vertex is in sight), w
+/// the coming wind's strength/400, m the vertex mass, Δw the coming change of the wind (direction
+/// times strength/400). The first four depend on the distance to that body vertex: cloth on the
+/// skin rubs, cloth that hangs free swings on. They are given at three distances ([`Trend::BANDS`])
+/// and linear between these. All zero: none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Trend {
     /// Share of the last acceleration that stays.
-    pub persistence: f32,
+    pub persistence: [f32; 3],
     /// Share of the velocity that goes, per frame.
-    pub damping: f32,
+    pub damping: [f32; 3],
     /// Share of the velocity along the skin that goes, per frame.
-    pub follow: f32,
+    pub follow: [f32; 3],
+    /// Share of the skin's acceleration that is taken up.
+    pub carry: [f32; 3],
+    /// Share of the velocity that moving air of strength 400 takes from a vertex of mass 1, per frame.
+    pub air: f32,
     /// Acceleration by a gust of strength 400, units/frame².
     pub gust: f32,
 }
 
+/// What a [`Trend`] reads of a point, in units and frames.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Motion {
+    /// Velocity.
+    pub velocity: [f32; 3],
+    /// Last acceleration.
+    pub acceleration: [f32; 3],
+    /// Nearest body vertex: distance, coming velocity and its change.
+    pub skin: Option<(f32, [f32; 3], [f32; 3])>,
+    /// Coming strength of the wind, of 400, by the vertex mass.
+    pub air: f32,
+    /// Coming change of the wind.
+    pub gust: [f32; 3],
+}
+
 impl Trend {
-    /// Acceleration of terms `[a, −v, −s·(v − v_skin), Δw]`, units/frame².
-    pub fn acceleration(&self, terms: &[[f32; 3]; 4]) -> [f32; 3] {
-        let weights = [self.persistence, self.damping, self.follow, self.gust];
+    /// Distances to the body in units at which the numbers are given; nearer and farther they stay.
+    pub const BANDS: [f32; 3] = [0.2, 0.5, 2.0];
+    /// Number of terms.
+    pub const TERMS: usize = 14;
+
+    /// All numbers: persistence, damping, follow and carry by distance, air, gust.
+    pub fn weights(&self) -> [f32; Self::TERMS] {
+        let bands = [self.persistence, self.damping, self.follow, self.carry];
+        let mut weights = [self.gust; Self::TERMS];
+        weights[..12].copy_from_slice(bands.as_flattened());
+        weights[12] = self.air;
+        weights
+    }
+
+    /// The trend of these [`Trend::weights`].
+    pub fn of_weights(weights: [f32; Self::TERMS]) -> Self {
+        let band = |at: usize| [weights[at], weights[at + 1], weights[at + 2]];
+        Self {
+            persistence: band(0),
+            damping: band(3),
+            follow: band(6),
+            carry: band(9),
+            air: weights[12],
+            gust: weights[13],
+        }
+    }
+
+    /// What each of the weights is multiplied with, units/frame².
+    pub fn terms(motion: &Motion) -> [[f32; 3]; Self::TERMS] {
+        let (distance, along, change) = match motion.skin {
+            Some((distance, velocity, change)) => {
+                let along = [0, 1, 2].map(|axis| velocity[axis] - motion.velocity[axis]);
+                (distance, along, change)
+            }
+            None => (f32::INFINITY, [0.0; 3], [0.0; 3]),
+        };
+        let mut terms = [[0.0; 3]; Self::TERMS];
+        let by_distance = [
+            motion.acceleration,
+            motion.velocity.map(|v| -v),
+            along,
+            change,
+        ];
+        for (band, share) in Self::shares(distance).into_iter().enumerate() {
+            for (kind, vector) in by_distance.iter().enumerate() {
+                terms[3 * kind + band] = vector.map(|x| share * x);
+            }
+        }
+        terms[12] = motion.velocity.map(|v| -motion.air * v);
+        terms[13] = motion.gust;
+        terms
+    }
+
+    /// The acceleration, units/frame².
+    pub fn acceleration(&self, motion: &Motion) -> [f32; 3] {
+        let (weights, terms) = (self.weights(), Self::terms(motion));
         [0, 1, 2].map(|axis| {
-            let parts = weights.iter().zip(terms).map(|(w, term)| w * term[axis]);
+            let parts = weights.iter().zip(&terms).map(|(w, term)| w * term[axis]);
             parts.sum()
         })
+    }
+
+    /// How much each distance of [`Trend::BANDS`] counts.
+    fn shares(distance: f32) -> [f32; 3] {
+        let [near, middle, far] = Self::BANDS;
+        let between = |low: f32, high: f32| ((distance - low) / (high - low)).clamp(0.0, 1.0);
+        let (first, second) = (between(near, middle), between(middle, far));
+        [1.0 - first, first - second, second]
     }
 }
 

@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 use drape_dataset::patches::Csr;
 use drape_dataset::sample::{Outfit, StatePair, Step};
-use drape_dataset::statistics::Trend;
+use drape_dataset::statistics::{Motion, Trend};
 use drape_geometry::grid::Grid;
 use drape_geometry::normals::vertex_normals;
 
@@ -29,6 +29,8 @@ const BODY_SLOTS: usize = 16;
 /// Patches a vertex takes its motion from at most.
 const PATCHES_PER_VERTEX: usize = 4;
 const EPSILON: f32 = 1e-7;
+/// Lighter cloth than this (a tenth of the paper's lightest) moves in wind as this does.
+const LEAST_MASS: f32 = 0.02;
 
 /// The nearest body vertex of a point and the frame there.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,9 +39,20 @@ pub struct Anchor {
     pub row: Option<u32>,
     /// Frame of the body's normal, identity out of reach.
     pub frame: Matrix,
-    /// Of patches: the nearest body vertex within the configuration's `patch_sight`, and how much
-    /// of the state relative to it counts.
-    pub sight: Option<(u32, f32)>,
+    /// The nearest body vertex within the configuration's `patch_sight`; of vertices only if
+    /// there is a trend.
+    pub sight: Option<Sight>,
+}
+
+/// A body vertex that is seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sight {
+    /// Body vertex.
+    pub vertex: u32,
+    /// Distance in units.
+    pub distance: f32,
+    /// How much of a patch's state relative to it counts.
+    pub share: f32,
 }
 
 /// One (vertex, patch) pair of the decoder.
@@ -72,6 +85,8 @@ pub struct FrameGraph {
     pub slot_offsets: Vec<u32>,
     /// Own patch of each vertex.
     pub own_patch: Vec<u32>,
+    /// Vertex mass of each patch's garment.
+    pub patch_masses: Vec<f32>,
 }
 
 /// Items that one thread derives at a time.
@@ -154,22 +169,26 @@ fn bounds(points: &[[f32; 3]]) -> [[f32; 3]; 2] {
     })
 }
 
-/// The nearest body vertex nearer than `sight`, and how much of the state relative to it counts.
+/// The nearest body vertex nearer than `sight`.
 fn see(
     grid: &Grid,
     body: &[[f32; 3]],
     [low, high]: &[[f32; 3]; 2],
     centre: [f32; 3],
     sight: f32,
-) -> Option<(u32, f32)> {
+) -> Option<Sight> {
     // A body that is nowhere near is not searched for.
     let inside = [0, 1, 2].map(|axis| centre[axis].clamp(low[axis], high[axis]));
     if distance(inside, centre) >= sight {
         return None;
     }
     let (vertex, _) = grid.nearest(centre)?;
-    let far = distance(centre, body[vertex as usize]) / sight;
-    (far < 1.0).then(|| (vertex, (1.0 - far * far).powi(2)))
+    let distance = distance(centre, body[vertex as usize]);
+    (distance < sight).then(|| Sight {
+        vertex,
+        distance,
+        share: (1.0 - (distance / sight).powi(2)).powi(2),
+    })
 }
 
 fn csr_of(rows: &[Vec<u32>]) -> Csr {
@@ -220,7 +239,8 @@ impl FrameGraph {
         let mut body_rows: Vec<u32> = Vec::new();
         let mut slots_of_patch: Vec<Vec<(u32, u32)>> = vec![Vec::new(); patches.count()];
         let mut patch_nearest: Vec<Option<(u32, bool)>> = vec![None; patches.count()];
-        let mut patch_sight: Vec<Option<(u32, f32)>> = vec![None; patches.count()];
+        let mut patch_sight: Vec<Option<Sight>> = vec![None; patches.count()];
+        let mut vertex_sight: Vec<Option<Sight>> = vec![None; state.len()];
         let mut vertex_nearest: Vec<Option<u32>> = vec![None; state.len()];
         let mut body_frames: Vec<Matrix> = Vec::new();
         let mut token_rotations: Vec<Matrix> = Vec::new();
@@ -257,9 +277,11 @@ impl FrameGraph {
             });
             if config.patch_sight > 0.0 {
                 let bounds = bounds(&body);
-                patch_sight = each(patches.count(), |patch, _| {
-                    see(&grid, &body, &bounds, centres[patch], config.patch_sight)
-                });
+                let see = |point| see(&grid, &body, &bounds, point, config.patch_sight);
+                patch_sight = each(patches.count(), |patch, _| see(centres[patch]));
+                if config.trend {
+                    vertex_sight = each(state.len(), |vertex, _| see(position(&state[vertex])));
+                }
             }
             vertex_nearest = each(state.len(), |vertex, _| reach(position(&state[vertex])));
         }
@@ -276,16 +298,17 @@ impl FrameGraph {
         }
         let vertex_anchors: Vec<Anchor> = vertex_nearest
             .iter()
-            .map(|nearest| match *nearest {
+            .zip(vertex_sight)
+            .map(|(nearest, sight)| match *nearest {
                 Some(vertex) => Anchor {
                     row: Some(row_of[vertex as usize]),
                     frame: body_frames[vertex as usize],
-                    sight: None,
+                    sight,
                 },
                 None => Anchor {
                     row: None,
                     frame: IDENTITY,
-                    sight: None,
+                    sight,
                 },
             })
             .collect();
@@ -344,6 +367,7 @@ impl FrameGraph {
             slots,
             slot_offsets,
             own_patch,
+            patch_masses: (0..patches.count()).map(|p| outfit.mass(p)).collect(),
         })
     }
 }
@@ -353,7 +377,7 @@ impl FrameGraph {
     /// the distance d as `(1 − d²/s²)²`, s the configuration's `patch_sight`; zeros beyond.
     pub fn patch_on_body(&self, patch: usize, step: &Step) -> StatePair {
         let anchor = &self.patch_anchors[patch];
-        let Some((vertex, share)) = anchor.sight else {
+        let Some(Sight { vertex, share, .. }) = anchor.sight else {
             return [0.0; 12];
         };
         let (state, body) = (&self.patch_states[patch], &step.body[vertex as usize]);
@@ -365,22 +389,25 @@ impl FrameGraph {
 }
 
 impl FrameGraph {
-    /// Terms of [`drape_dataset::statistics::Trend`] for a state that moves with `patch`.
-    pub fn trend_terms(&self, patch: usize, state: &StatePair, step: &Step) -> [[f32; 3]; 4] {
-        let axes = [0, 1, 2];
-        let along_skin = match self.patch_anchors[patch].sight {
-            Some((vertex, share)) => {
-                let body = &step.body[vertex as usize];
-                axes.map(|axis| share * (body[3 + axis] - state[3 + axis]))
-            }
-            None => [0.0; 3],
-        };
-        [
-            axes.map(|axis| state[3 + axis] - state[9 + axis]),
-            axes.map(|axis| -state[3 + axis]),
-            along_skin,
-            step.gust(),
-        ]
+    /// What a [`Trend`] reads of a vertex.
+    pub fn vertex_motion(&self, vertex: usize, state: &StatePair, step: &Step) -> Motion {
+        let patch = self.own_patch[vertex] as usize;
+        self.motion(patch, &self.vertex_anchors[vertex], state, step)
+    }
+
+    fn motion(&self, patch: usize, anchor: &Anchor, state: &StatePair, step: &Step) -> Motion {
+        let velocity = |state: &StatePair| [state[3], state[4], state[5]];
+        let change = |state: &StatePair| [0, 1, 2].map(|axis| state[3 + axis] - state[9 + axis]);
+        Motion {
+            velocity: velocity(state),
+            acceleration: change(state),
+            skin: anchor.sight.map(|sight| {
+                let body = &step.body[sight.vertex as usize];
+                (sight.distance, velocity(body), change(body))
+            }),
+            air: step.wind_strength() / self.patch_masses[patch].max(LEAST_MASS),
+            gust: step.gust(),
+        }
     }
 
     /// What a trend adds to the accelerations: of each vertex relative to its own patch, then of
@@ -389,20 +416,17 @@ impl FrameGraph {
         if *trend == Trend::default() {
             return vec![[0.0; 3]; state.len() + self.patch_states.len()];
         }
-        let of = |patch: usize, state: &StatePair| {
-            trend.acceleration(&self.trend_terms(patch, state, step))
-        };
-        let patches: Vec<[f32; 3]> = self
-            .patch_states
-            .iter()
-            .enumerate()
-            .map(|(patch, state)| of(patch, state))
-            .collect();
-        let vertices = state.iter().zip(&self.own_patch).map(|(state, &own)| {
-            let (whole, own) = (of(own as usize, state), patches[own as usize]);
+        let patches = each(self.patch_states.len(), |patch, _| {
+            let (state, anchor) = (&self.patch_states[patch], &self.patch_anchors[patch]);
+            trend.acceleration(&self.motion(patch, anchor, state, step))
+        });
+        let mut all = each(state.len(), |vertex, _| {
+            let whole = trend.acceleration(&self.vertex_motion(vertex, &state[vertex], step));
+            let own = patches[self.own_patch[vertex] as usize];
             [0, 1, 2].map(|axis| whole[axis] - own[axis])
         });
-        vertices.chain(patches.iter().copied()).collect()
+        all.extend(patches);
+        all
     }
 }
 

@@ -16,8 +16,7 @@ use crate::losses::{integrate, stray_factors};
 use crate::step::target;
 use crate::sway::sway_of_draw;
 
-/// Number of a trend's terms.
-const TERMS: usize = 4;
+const TERMS: usize = Trend::TERMS;
 
 /// `Xᵀ W X` with `Xᵀ W y` as last column.
 type Equations = [[f64; TERMS + 1]; TERMS];
@@ -48,12 +47,12 @@ pub fn fit_trend(set: &TrainingSet, config: &TrainConfig) -> Result<Trend> {
             let squared = squared.map(|std| f64::from(*std).powi(2)).sum();
             let discount = config.losses.stray_discount;
             let factors = stray_factors(discount, squared, &sample.outfit, &held, &truth);
-            let mut sums = Equations::default();
+            let mut sums = [[0.0; TERMS + 1]; TERMS];
             let garments = sample.outfit.garment_offsets.windows(2);
             for (ends, factor) in garments.zip(factors) {
                 for vertex in ends[0]..ends[1] {
-                    let own = graph.own_patch[vertex] as usize;
-                    let terms = graph.trend_terms(own, &state[vertex], step);
+                    let motion = graph.vertex_motion(vertex, &state[vertex], step);
+                    let terms = Trend::terms(&motion);
                     for axis in 0..3 {
                         let wanted = truth[vertex][axis] - held[vertex][axis];
                         for (row, left) in sums.iter_mut().zip(&terms) {
@@ -69,29 +68,25 @@ pub fn fit_trend(set: &TrainingSet, config: &TrainConfig) -> Result<Trend> {
             Ok(sums)
         })
         .collect::<Result<_>>()?;
-    let mut total = Equations::default();
+    let mut total = [[0.0; TERMS + 1]; TERMS];
     for part in parts {
         for (sum, value) in total.as_flattened_mut().iter_mut().zip(part.as_flattened()) {
             *sum += value;
         }
     }
-    let [persistence, damping, follow, gust] = solve(total).map(|value| value as f32);
-    Ok(Trend {
-        persistence,
-        damping,
-        follow,
-        gust,
-    })
+    Ok(Trend::of_weights(solve(total).map(|value| value as f32)))
 }
 
 /// Solves symmetric equations by elimination; a term that never occurs (no wind in the data) or
 /// that others make up gets 0.
-fn solve(mut equations: Equations) -> [f64; TERMS] {
+fn solve<const TERMS: usize, const COLUMNS: usize>(
+    mut equations: [[f64; COLUMNS]; TERMS],
+) -> [f64; TERMS] {
     let scale: [f64; TERMS] = std::array::from_fn(|i| equations[i][i]);
-    let usable = |equations: &Equations, i: usize| equations[i][i] > 1e-9 * scale[i];
+    let usable = |equations: &[[f64; COLUMNS]; TERMS], i: usize| equations[i][i] > 1e-9 * scale[i];
     for i in 0..TERMS {
         if !usable(&equations, i) {
-            equations[i] = [0.0; TERMS + 1];
+            equations[i] = [0.0; COLUMNS];
             continue;
         }
         let pivot = equations[i];
@@ -124,14 +119,14 @@ mod tests {
             [0.5, -1.0, 0.0, -1.0],
             [3.0, 1.0, 0.0, 1.0],
         ];
-        let mut equations = Equations::default();
+        let mut equations = [[0.0; 5]; 4];
         for row in rows {
             let y = 2.0 * row[0] + 5.0 * row[1];
-            for i in 0..TERMS {
-                for j in 0..TERMS {
+            for i in 0..4 {
+                for j in 0..4 {
                     equations[i][j] += row[i] * row[j];
                 }
-                equations[i][TERMS] += row[i] * y;
+                equations[i][4] += row[i] * y;
             }
         }
         for (found, expected) in solve(equations).into_iter().zip([2.0, 5.0, 0.0, 0.0]) {
