@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use super::product::{
     add, add_outer, add_rows, fill_rows, mask, relu, rows_times, transpose, transposed,
 };
-use super::{Real, by_dtype, fit, for_all, for_all_with, operand, recycled, simd_dispatch, values};
+use super::{Real, by_dtype, fit, for_all_with, operand, recycled, simd_dispatch, values};
 
 const EPSILON: f64 = 1e-7;
 /// Rows of a block, about: a few arrays of this many rows fit a core's cache.
@@ -124,6 +124,14 @@ pub(crate) struct Room<T: 'static> {
     means: Vec<T>,
     transposed: [Vec<T>; 3],
     work: Vec<Piece<'static, T>>,
+}
+
+/// `rows` rows of a block in a buffer that has room for most blocks from the start.
+fn block<T: Real>(buffer: &mut Vec<T>, rows: usize, width: usize) -> &mut [T] {
+    if buffer.is_empty() {
+        buffer.reserve_exact(BLOCK_ROWS.max(rows) * width);
+    }
+    fit(buffer, rows * width)
 }
 
 /// Cuts off the first `len`.
@@ -270,8 +278,7 @@ impl Segments {
             work.par_drain(..),
             |[one, two]: &mut [Vec<T>; 2], (y, means, passes, segments)| {
                 let rows = self.rows(&segments);
-                let one = fit(one, rows.len() * hidden);
-                let two = fit(two, rows.len() * hidden);
+                let [one, two] = [one, two].map(|buffer| block(buffer, rows.len(), hidden));
                 affine(&x[rows.start * inner..rows.end * inner], w1, b1, one);
                 relu(one);
                 affine(one, w2, b2, two);
@@ -318,29 +325,27 @@ impl Segments {
             let dx = cut(&mut dx_left, rows.len() * inner);
             work.push((blocks, dx, lane));
         }
-        for_all(
+        for_all_with(
             work.into_par_iter(),
-            |(blocks, mut dx, [d_first, d_second])| {
+            |room: &mut [Vec<T>; 4], (blocks, mut dx, [d_first, d_second])| {
                 let (dw1, db1) = d_first.split_at_mut(hidden * inner);
                 let (dw2, rest) = d_second.split_at_mut(hidden * hidden);
                 let (db2, rest) = rest.split_at_mut(hidden);
                 let (dw3, db3) = rest.split_at_mut(out * hidden);
-                let (mut one, mut outer, mut inward) = (Vec::new(), Vec::new(), Vec::new());
-                let mut d_means = Vec::new();
                 for segments in blocks {
                     let rows = self.rows(segments);
-                    for buffer in [&mut one, &mut outer, &mut inward] {
-                        buffer.resize(rows.len() * hidden, T::zero());
-                    }
+                    let [one, outer, inward, d_means] = &mut *room;
+                    let [one, outer, inward] =
+                        [one, outer, inward].map(|buffer| block(buffer, rows.len(), hidden));
+                    let d_means = block(d_means, segments.len(), hidden);
                     let x = &x[rows.start * inner..rows.end * inner];
-                    affine(x, &w1t, b1, &mut one);
-                    relu(&mut one);
+                    affine(x, &w1t, b1, one);
+                    relu(one);
                     let g = &g[segments.start * out..segments.end * out];
                     let means = &means[segments.start * hidden..segments.end * hidden];
                     add_outer(g, means, hidden, dw3);
                     add_rows(g, db3);
-                    d_means.resize(means.len(), T::zero());
-                    rows_times(g, w3, hidden, &mut d_means, false);
+                    rows_times(g, w3, hidden, d_means, false);
                     for (segment, g) in segments.clone().zip(d_means.chunks_exact(hidden)) {
                         let factor = self.divisor(segment);
                         for row in self.rows(&(segment..segment + 1)) {
@@ -349,15 +354,15 @@ impl Segments {
                             run_masked_row(g, factor, passes, &mut outer[at..at + hidden], db2);
                         }
                     }
-                    add_outer(&outer, &one, hidden, dw2);
-                    rows_times(&outer, w2, hidden, &mut inward, false);
-                    mask(&one, &mut inward);
-                    add_rows(&inward, db1);
-                    add_outer(&inward, x, inner, dw1);
+                    add_outer(outer, one, hidden, dw2);
+                    rows_times(outer, w2, hidden, inward, false);
+                    mask(one, inward);
+                    add_rows(inward, db1);
+                    add_outer(inward, x, inner, dw1);
                     let own = dx
                         .split_off_mut(..rows.len() * inner)
                         .expect("cut to the lane's rows");
-                    rows_times(&inward, w1, inner, own, false);
+                    rows_times(inward, w1, inner, own, false);
                 }
             },
         );

@@ -1,5 +1,7 @@
-//! Fused operations with hand-written backward passes, as candle custom ops.
+//! Fused operations with hand-written backward passes.
 //!
+//! [`LayersNet`](crate::LayersNet) runs them on memory of its own; as candle custom ops, which is
+//! how they are checked, they allocate what they return.
 //! candle's stock layer norm and softmax return no gradient, and gathering
 //! attention from stock ops costs ten times the time. Each kernel file states its
 //! formula, works in f32 and f64 (finite differences are checked in f64), and cuts its
