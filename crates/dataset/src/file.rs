@@ -3,15 +3,17 @@
 //! [`SequenceWriter`] streams frames into a file that appears under its name
 //! only when it is complete; [`SequenceReader`] opens one, checks it and hands
 //! out frames in any order, from any thread, without holding more than one
-//! frame's bytes.
+//! frame's bytes; [`recover`] saves what is whole in a broken one.
 
 mod container;
 mod messages;
 mod positional;
 mod reader;
+mod recover;
 mod writer;
 
 pub use reader::SequenceReader;
+pub use recover::{Saved, recover};
 pub use writer::SequenceWriter;
 
 /// Major version of the format: readers refuse a higher one.

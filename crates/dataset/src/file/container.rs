@@ -7,6 +7,7 @@
 //! are never used.
 
 use std::fs::File;
+use std::io;
 use std::path::Path;
 
 use mcap::records::{ChunkIndex, MessageHeader, Record, op};
@@ -18,15 +19,25 @@ use crate::error::{DatasetError, Result};
 
 /// Opcode and length before each record.
 const RECORD_HEAD: usize = 9;
+/// Head of an uncompressed chunk: record head, two times, size, CRC, empty
+/// name of a compression, size again.
+pub(super) const CHUNK_HEAD: usize = RECORD_HEAD + 8 + 8 + 8 + 4 + 4 + 8;
+/// How much is hashed at once.
+const BLOCK: u64 = 1 << 20;
+/// End of the data section: record head, CRC of all before it.
+const DATA_END: usize = RECORD_HEAD + 4;
 /// Footer record: head, summary start, summary offset start, CRC.
 const FOOTER: usize = RECORD_HEAD + 8 + 8 + 4;
 
 /// The file's index, from the summary section at its end.
+#[derive(Debug)]
 pub(super) struct Summary {
     channels: Vec<mcap::records::Channel>,
     schemas: Vec<mcap::records::SchemaHeader>,
     /// Chunks in the file's order.
     pub(super) chunks: Vec<ChunkIndex>,
+    /// Where the data section ends and the summary begins.
+    pub(super) start: u64,
 }
 
 impl Summary {
@@ -54,6 +65,7 @@ impl Summary {
         let truncated = |reason: &str| DatasetError::Truncated {
             path: path.into(),
             reason: format!("{reason} ({size} bytes are there)"),
+            saveable: String::new(),
         };
         let tail_len = FOOTER + magic.len();
         if size < (magic.len() + tail_len) as u64 {
@@ -88,6 +100,7 @@ impl Summary {
             channels: Vec::new(),
             schemas: Vec::new(),
             chunks: Vec::new(),
+            start: footer.summary_start,
         };
         let mut rest = summary.as_slice();
         while !rest.is_empty() {
@@ -132,6 +145,45 @@ impl Summary {
     }
 }
 
+/// Compares the checksum over the data section, which covers every byte before
+/// the summary at `summary_start`; the summary's own was compared when it was read.
+pub(super) fn check_data(path: &Path, file: &File, summary_start: u64) -> Result<()> {
+    let place = "the data section";
+    let end = summary_start.checked_sub(DATA_END as u64);
+    let end = end.ok_or_else(|| corrupt(path, place, "records", "none"))?;
+    let io = DatasetError::io("read", path);
+    let hash = || -> io::Result<(u32, Vec<u8>)> {
+        let mut crc = crc32fast::Hasher::new();
+        let mut at = 0;
+        while at < end {
+            let block = read_at(file, at, (end - at).min(BLOCK) as usize)?;
+            crc.update(&block);
+            at += block.len() as u64;
+        }
+        Ok((crc.finalize(), read_at(file, end, DATA_END)?))
+    };
+    let (computed, last) = hash().map_err(io)?;
+    let head = [op::DATA_END, 4, 0, 0, 0, 0, 0, 0, 0];
+    let (found, stored) = last.split_at(RECORD_HEAD);
+    if found != head {
+        let found = format!("{found:02x?}");
+        return Err(corrupt(
+            path,
+            place,
+            "its end right before the index",
+            found,
+        ));
+    }
+    let stored = stored
+        .try_into()
+        .map(u32::from_le_bytes)
+        .unwrap_or_default();
+    if stored == 0 {
+        return Err(corrupt(path, place, "a CRC", "none"));
+    }
+    check_crc(path, place, stored, computed)
+}
+
 /// Reads the one message of a chunk and compares the chunk's CRC.
 pub(super) fn read_message(
     path: &Path,
@@ -168,20 +220,54 @@ pub(super) fn read_message(
         });
     }
     check_crc(path, place, header.uncompressed_crc, crc32fast::hash(&data))?;
-    let mut found = None;
-    let mut records: &[u8] = &data;
-    while !records.is_empty() {
-        match next_record(&mut records) {
-            Some(Record::Message { header, data }) if header.channel_id == channel => {
-                if found.replace((header, bytes.slice_ref(&data))).is_some() {
-                    return Err(corrupt(path, place, "one message a chunk", "several"));
-                }
-            }
-            Some(_) => {}
-            None => return Err(corrupt(path, place, "MCAP records", "other bytes")),
-        }
+    let Some(messages) = messages_in(&bytes, &data) else {
+        return Err(corrupt(path, place, "MCAP records", "other bytes"));
+    };
+    let mut messages = messages
+        .into_iter()
+        .filter(|(head, _)| head.channel_id == channel);
+    let found = messages.next();
+    if messages.next().is_some() {
+        return Err(corrupt(path, place, "one message a chunk", "several"));
     }
     found.ok_or_else(|| corrupt(path, place, "a message", "none"))
+}
+
+/// Messages of an uncompressed chunk; `None` if its structure or its CRC is broken.
+pub(super) fn messages_of_chunk(chunk: &Bytes) -> Option<Vec<(MessageHeader, Bytes)>> {
+    let mut rest = &chunk[..];
+    let Record::Chunk { header, data } = next_record(&mut rest)? else {
+        return None;
+    };
+    let sound = rest.is_empty() && header.compression.is_empty();
+    if !sound || header.uncompressed_crc != crc32fast::hash(&data) {
+        return None;
+    }
+    messages_in(chunk, &data)
+}
+
+/// Messages of the records `data`, which are a part of `chunk`.
+fn messages_in(chunk: &Bytes, data: &[u8]) -> Option<Vec<(MessageHeader, Bytes)>> {
+    let mut messages = Vec::new();
+    let mut records = data;
+    while !records.is_empty() {
+        if let Record::Message { header, data } = next_record(&mut records)? {
+            messages.push((header, chunk.slice_ref(&data)));
+        }
+    }
+    Some(messages)
+}
+
+/// Length of the uncompressed chunk that starts with `head`, if one can start so:
+/// its three sizes must agree, which other bytes hardly do.
+pub(super) fn plausible_chunk(head: &[u8]) -> Option<u64> {
+    let word = |at: usize| Some(u64::from_le_bytes(*head.get(at..)?.first_chunk()?));
+    let (length, size) = (word(1)?, word(RECORD_HEAD + 16)?);
+    let uncompressed = head[RECORD_HEAD + 28..RECORD_HEAD + 32] == [0; 4];
+    let body = length.checked_sub((CHUNK_HEAD - RECORD_HEAD) as u64)?;
+    let sound =
+        head[0] == op::CHUNK && uncompressed && body == size && word(RECORD_HEAD + 32)? == size;
+    sound.then(|| length.checked_add(RECORD_HEAD as u64))?
 }
 
 /// Takes the first record off `bytes`; `None` when there is none.

@@ -8,8 +8,9 @@ use mcap::records::ChunkIndex;
 use prost::Message;
 use prost::bytes::Bytes;
 
-use super::container::{Summary, corrupt, read_message};
+use super::container::{Summary, check_data, corrupt, read_message};
 use super::messages::{self, proto};
+use super::recover::Whole;
 use super::{FORMAT_MAJOR, FRAME_SCHEMA, FRAME_TOPIC, HEADER_SCHEMA, HEADER_TOPIC};
 use crate::error::{DatasetError, Result};
 use crate::sequence::{Frame, SequenceHeader};
@@ -23,6 +24,8 @@ pub struct SequenceReader {
     path: PathBuf,
     file: File,
     header: SequenceHeader,
+    /// Where the data section ends and the summary begins.
+    summary_start: u64,
     frame_channel: u16,
     frames: Vec<ChunkIndex>,
 }
@@ -36,7 +39,7 @@ impl SequenceReader {
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref().to_path_buf();
         let file = File::open(&path).map_err(DatasetError::io("open", &path))?;
-        let summary = Summary::read(&path, &file)?;
+        let summary = Summary::read(&path, &file).map_err(|error| saveable(error, &file))?;
         let header_channel = summary.channel(&path, HEADER_TOPIC, HEADER_SCHEMA)?;
         let frame_channel = summary.channel(&path, FRAME_TOPIC, FRAME_SCHEMA)?;
         let mut headers = Vec::new();
@@ -68,6 +71,7 @@ impl SequenceReader {
             path,
             file,
             header,
+            summary_start: summary.start,
             frame_channel,
             frames,
         })
@@ -117,13 +121,43 @@ impl SequenceReader {
         range.map(|index| self.frame(index))
     }
 
+    /// Compares the checksum over all bytes of the file, those that reading never
+    /// uses included: any changed bit is found. Reads the whole file; frames are
+    /// checked against the format's rules as they are read, not here.
+    ///
+    /// # Errors
+    /// Something changed since the file was written, or its writer left the checksum out.
+    pub fn check_bytes(&self) -> Result<()> {
+        check_data(&self.path, &self.file, self.summary_start)
+    }
+
     /// Reads all frames into memory.
     pub fn read_all(&self) -> Result<Vec<Frame>> {
         self.frames(0..self.frame_count()).collect()
     }
 }
 
-fn decode_header(path: &Path, bytes: Bytes) -> Result<SequenceHeader> {
+/// Says what of a truncated file can be saved.
+fn saveable(error: DatasetError, file: &File) -> DatasetError {
+    let DatasetError::Truncated { path, reason, .. } = error else {
+        return error;
+    };
+    let saveable = match Whole::find(&path, file) {
+        Err(_) => String::new(),
+        Ok(whole) if !whole.saves_something() => format!("; {}", whole.summary()),
+        Ok(whole) => format!(
+            "; {}, `cargo xtask inspect FILE --recover OUT` saves them",
+            whole.summary()
+        ),
+    };
+    DatasetError::Truncated {
+        path,
+        reason,
+        saveable,
+    }
+}
+
+pub(super) fn decode_header(path: &Path, bytes: Bytes) -> Result<SequenceHeader> {
     let undecodable = |error: prost::DecodeError| {
         corrupt(
             path,
