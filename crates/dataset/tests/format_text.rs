@@ -10,7 +10,7 @@ mod json;
 
 use std::collections::BTreeSet;
 
-use drape_dataset::file;
+use drape_dataset::file::{self, Storage};
 use drape_dataset::registry::{Effect, GarmentKind};
 use drape_dataset::sample::{ATTRIBUTE_RANGES, WIND_STRENGTH_SCALE};
 use drape_dataset::splits::Split;
@@ -55,12 +55,15 @@ fn any_mcap_reader_can_decode_a_file_by_the_schema_it_carries() {
     assert_eq!(positions[8..12], (-1.0f32).to_le_bytes());
 }
 
-/// Every schema that files carry.
-fn schemas() -> Vec<DescriptorPool> {
-    let bytes = written_file();
-    let message = mcap::MessageStream::new(&bytes).unwrap().next().unwrap();
-    let schema = message.unwrap().channel.schema.clone().unwrap();
-    vec![DescriptorPool::decode(&schema.data[..]).unwrap()]
+/// Every schema that files carry: exact frames', quantised frames'.
+fn schemas() -> [DescriptorPool; 2] {
+    [Storage::Exact, Storage::VIEWING].map(|storage| {
+        let frame = cases::one_garment_frame();
+        let bytes = cases::written_as(storage, &cases::one_garment(), &[frame]);
+        let message = mcap::MessageStream::new(&bytes).unwrap().last().unwrap();
+        let schema = message.unwrap().channel.schema.clone().unwrap();
+        DescriptorPool::decode(&schema.data[..]).unwrap()
+    })
 }
 
 #[test]
@@ -96,7 +99,8 @@ fn check_row(message: &str, row: &[String], field: &FieldDescriptor) {
     let declared = format!("{}{element}", if repeated { "repeated " } else { "" });
     let rest = kind.strip_prefix(&declared);
     let shape = rest.unwrap_or_else(|| panic!("{place}: {declared} in the schema, {kind} here"));
-    if matches!(field.kind(), Kind::Bytes) || (repeated && matches!(field.kind(), Kind::Float)) {
+    let number = matches!(field.kind(), Kind::Float | Kind::Sint32);
+    if matches!(field.kind(), Kind::Bytes) || (repeated && number) {
         assert!(shape.ends_with(']'), "{place}: {kind} must tell its shape");
     } else {
         assert_eq!(shape, "", "{place}: type");
@@ -131,7 +135,7 @@ fn the_registries_are_the_codes_in_its_order() {
 #[test]
 fn the_material_attributes_are_the_schemas_and_their_ranges_those_of_samples() {
     let rows = rows_under(REGISTRY, "## Material attributes\n");
-    let pool = schemas().remove(0);
+    let pool = &schemas()[0];
     let mut fields = BTreeSet::from(["Scene.body_friction".to_owned()]);
     let material = pool.get_message_by_name("drape.Material").unwrap();
     fields.extend(

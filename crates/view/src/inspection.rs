@@ -393,6 +393,7 @@ fn contents(reader: &SequenceReader) -> Vec<String> {
             "units     {} per metre; one UV unit is {} m",
             scene.scale, scene.metres_per_uv
         ),
+        format!("storage   {}", reader.storage()),
         format!(
             "engine    {} {}, seed {}",
             scene.engine, scene.engine_version, scene.seed

@@ -6,6 +6,7 @@ use std::io::Cursor;
 use std::sync::Arc;
 
 use drape_dataset::SequenceWriter;
+use drape_dataset::file::Storage;
 use drape_dataset::registry::{Effect, GarmentKind};
 use drape_dataset::sequence::{
     BodyTopology, Frame, Garment, Intersections, Material, Root, SceneMeta, SequenceHeader, Wind,
@@ -35,6 +36,7 @@ pub fn all() -> Vec<Case> {
         bytes,
         expected,
     };
+    let (quantised, quantised_json) = quantised();
     let refused = |name, bytes, class: &str| case(name, bytes, json!({ "error": class }));
     vec![
         refused(
@@ -51,6 +53,7 @@ pub fn all() -> Vec<Case> {
             small,
             json::sequence(&one_garment(), &[one_garment_frame()]),
         ),
+        case("quantised", quantised, quantised_json),
         case("two_layers", large, expected),
     ]
 }
@@ -198,9 +201,14 @@ pub fn two_layers_frames() -> Vec<Frame> {
 
 /// The file that [`SequenceWriter`] makes.
 pub fn written(header: &SequenceHeader, frames: &[Frame]) -> Vec<u8> {
+    written_as(Storage::Exact, header, frames)
+}
+
+/// The file that [`SequenceWriter`] makes with a storage.
+pub fn written_as(storage: Storage, header: &SequenceHeader, frames: &[Frame]) -> Vec<u8> {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("case.mcap");
-    let mut writer = SequenceWriter::create(&path, header).expect("a sound header");
+    let mut writer = SequenceWriter::create_with(&path, header, storage).expect("a sound header");
     for frame in frames {
         writer.push(frame).expect("a sound frame");
     }
@@ -293,6 +301,34 @@ fn not_finite(source: &[u8]) -> Vec<u8> {
             data[at..at + 4].copy_from_slice(&f32::NAN.to_le_bytes());
         }
     })
+}
+
+/// 20 frames on a grid of quarters, so that positions between them are their exact
+/// selves again: key frames, differences, numbers of one and of two bytes.
+fn quantised() -> (Vec<u8>, Value) {
+    let header = two_layers();
+    // The step is 2 · error · scale / √3 · 0.99.
+    let storage = Storage::Quantised {
+        max_error_m: 0.25 * 3f32.sqrt() / 2.0 / 0.99 / header.scene.scale,
+    };
+    let frames: Vec<Frame> = (0..20u8)
+        .map(|f| {
+            let t = f32::from(f);
+            let mut frame = two_layers_frames().remove(usize::from(f % 3));
+            frame.body = vec![[t, 0.0, 0.25], [t, 300.0, 0.0], [t, 0.0, -1.5 * t]];
+            let inner = vec![[-0.25, t, 0.5], [0.0, 0.25, t], [1.0, t, t]];
+            let outer = vec![[t, 2.0, 0.0], [t, 2.0, 1.0], [t, 3.0, 0.0], [t, 3.0, 1.0]];
+            frame.garments = vec![inner, outer];
+            frame
+        })
+        .collect();
+    let bytes = written_as(storage, &header, &frames);
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("case.mcap");
+    std::fs::write(&path, &bytes).expect("a written file");
+    let reader = drape_dataset::SequenceReader::open(&path).expect("a sound file");
+    let found = reader.read_all().expect("sound frames");
+    (bytes, json::sequence(&header, &found))
 }
 
 /// One bit of the last frame's positions changed.

@@ -13,8 +13,8 @@ use std::path::Path;
 use mcap::records::{ChunkIndex, MessageHeader, Record, op};
 use prost::bytes::Bytes;
 
-use super::PROTOBUF;
 use super::positional::read_at;
+use super::{MessageKind, PROTOBUF};
 use crate::error::{DatasetError, Result};
 
 /// Opcode and length before each record.
@@ -116,8 +116,16 @@ impl Summary {
         Ok(index)
     }
 
-    /// Id of the channel of `topic`, which must carry `schema` as protobuf.
-    pub(super) fn channel(&self, path: &Path, topic: &str, schema: &str) -> Result<u16> {
+    /// Whether there is a channel of this topic.
+    pub(super) fn has(&self, kind: &MessageKind) -> bool {
+        self.channels
+            .iter()
+            .any(|channel| channel.topic == kind.topic)
+    }
+
+    /// Id of the channel of a topic, which must carry its schema as protobuf.
+    pub(super) fn channel(&self, path: &Path, kind: &MessageKind) -> Result<u16> {
+        let MessageKind { topic, schema, .. } = *kind;
         let error = |expected: String, found: String| DatasetError::NotASequence {
             path: path.into(),
             expected,

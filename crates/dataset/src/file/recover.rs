@@ -9,12 +9,14 @@ use std::fs::File;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+use mcap::records::MessageHeader;
 use prost::Message;
 use prost::bytes::Bytes;
 
 use super::container::{CHUNK_HEAD, messages_of_chunk, plausible_chunk};
 use super::messages::{self, proto};
 use super::positional::read_at;
+use super::quantised::{Dequantiser, Storage};
 use super::reader::decode_header;
 use super::writer::SequenceWriter;
 use crate::error::{DatasetError, Result};
@@ -65,15 +67,19 @@ pub fn recover(damaged: impl AsRef<Path>, out: impl AsRef<Path>) -> Result<Vec<S
         let warning =
             format!("recovered from the damaged file {name}: its frames {first} to {last}");
         header.scene.warnings.push(warning);
-        let mut writer = SequenceWriter::create(&path, &header)?;
+        let mut writer = SequenceWriter::create_with(&path, &header, whole.storage)?;
+        let mut decoder = Decoder::new(&header);
         for found in &whole.frames[whole.position(run.start)..whole.position(run.end)] {
             let chunk = read_chunk(damaged, &file, &found.chunk)?;
-            let frames = messages_of_chunk(&chunk).into_iter().flatten();
-            let frame = frames.filter_map(|(_, bytes)| decode_frame(bytes, &header));
-            let frame = frame.into_iter().find(|(index, _)| *index == found.index);
-            let changed =
-                || DatasetError::invalid("recovery", "a file that nobody writes to", "a change");
-            writer.push(&frame.ok_or_else(changed)?.1)?;
+            let messages = messages_of_chunk(&chunk).into_iter().flatten();
+            let mut frames = messages.filter_map(|(_, bytes)| decoder.frame(bytes));
+            let Some((.., frame)) = frames.find(|(index, ..)| *index == found.index) else {
+                let expected = "a file that nobody writes to meanwhile";
+                return Err(
+                    DatasetError::invalid("recovery", expected, "a change").in_file(damaged)
+                );
+            };
+            writer.push(&frame)?;
         }
         writer.finish()?;
         saved.push(Saved { path, frames: run });
@@ -90,6 +96,7 @@ struct Found {
 /// What of a file is whole.
 pub(super) struct Whole {
     header: Option<SequenceHeader>,
+    storage: Storage,
     /// By index, each once.
     frames: Vec<Found>,
 }
@@ -97,42 +104,42 @@ pub(super) struct Whole {
 impl Whole {
     /// Searches a file; memory: one chunk.
     pub(super) fn find(path: &Path, file: &File) -> Result<Self> {
-        let size = file
-            .metadata()
-            .map_err(DatasetError::io("read", path))?
-            .len();
+        let size = file.metadata();
+        let size = size.map_err(DatasetError::io("read", path))?.len();
+        let mut chunks = Chunks {
+            path,
+            file,
+            size,
+            at: 0,
+        };
         let mut whole = Self {
             header: None,
+            storage: Storage::Exact,
             frames: Vec::new(),
         };
-        let mut at = 0;
-        while let Some(span) = next_chunk(path, file, at, size)? {
-            let chunk = read_chunk(path, file, &span)?;
-            let Some(messages) = messages_of_chunk(&chunk) else {
-                at = span.start + 1;
-                continue;
-            };
+        while whole.header.is_none()
+            && let Some((_, messages)) = chunks.next()?
+        {
+            let mut headers = messages.into_iter();
+            whole.header = headers.find_map(|(_, bytes)| decode_header(path, bytes).ok());
+        }
+        let Some(header) = &whole.header else {
+            return Ok(whole);
+        };
+        let mut decoder = Decoder::new(header);
+        while let Some((chunk, messages)) = chunks.next()? {
             for (_, bytes) in messages {
-                whole.take(path, bytes, &span);
+                if let Some((index, storage, _)) = decoder.frame(bytes) {
+                    whole.storage = storage;
+                    let chunk = chunk.clone();
+                    whole.frames.push(Found { index, chunk });
+                }
             }
-            at = span.end;
         }
         // Of two frames with one index the first in the file counts.
         whole.frames.sort_by_key(|found| found.index);
         whole.frames.dedup_by_key(|found| found.index);
         Ok(whole)
-    }
-
-    fn take(&mut self, path: &Path, bytes: Bytes, span: &Range<u64>) {
-        match &self.header {
-            None => self.header = decode_header(path, bytes).ok(),
-            Some(header) => {
-                if let Some((index, _)) = decode_frame(bytes, header) {
-                    let chunk = span.clone();
-                    self.frames.push(Found { index, chunk });
-                }
-            }
-        }
     }
 
     /// Frames without a gap between them.
@@ -180,23 +187,49 @@ impl Whole {
     }
 }
 
-/// The next place from `at` on that looks like a chunk and ends inside the file.
-fn next_chunk(path: &Path, file: &File, mut at: u64, size: u64) -> Result<Option<Range<u64>>> {
-    while size.saturating_sub(at) >= CHUNK_HEAD as u64 {
-        let length = BLOCK.min((size - at) as usize);
-        let block = read_at(file, at, length).map_err(DatasetError::io("read", path))?;
-        for (offset, head) in block.windows(CHUNK_HEAD).enumerate() {
-            let start = at + offset as u64;
-            if let Some(length) = plausible_chunk(head)
-                && let Some(end) = start.checked_add(length).filter(|&end| end <= size)
-            {
-                return Ok(Some(start..end));
+/// A chunk's place and messages.
+type Chunk = (Range<u64>, Vec<(MessageHeader, Bytes)>);
+
+/// Sound chunks of a file, in its order.
+struct Chunks<'a> {
+    path: &'a Path,
+    file: &'a File,
+    size: u64,
+    at: u64,
+}
+
+impl Chunks<'_> {
+    fn next(&mut self) -> Result<Option<Chunk>> {
+        while let Some(span) = self.next_plausible()? {
+            let chunk = read_chunk(self.path, self.file, &span)?;
+            if let Some(messages) = messages_of_chunk(&chunk) {
+                self.at = span.end;
+                return Ok(Some((span, messages)));
             }
+            self.at = span.start + 1;
         }
-        // The last windows of this block are the first of the next.
-        at += (length - CHUNK_HEAD + 1) as u64;
+        Ok(None)
     }
-    Ok(None)
+
+    /// The next place that looks like a chunk and ends inside the file.
+    fn next_plausible(&mut self) -> Result<Option<Range<u64>>> {
+        while self.size.saturating_sub(self.at) >= CHUNK_HEAD as u64 {
+            let length = BLOCK.min((self.size - self.at) as usize);
+            let block = read_at(self.file, self.at, length);
+            let block = block.map_err(DatasetError::io("read", self.path))?;
+            for (offset, head) in block.windows(CHUNK_HEAD).enumerate() {
+                let start = self.at + offset as u64;
+                if let Some(length) = plausible_chunk(head)
+                    && let Some(end) = start.checked_add(length).filter(|&end| end <= self.size)
+                {
+                    return Ok(Some(start..end));
+                }
+            }
+            // The last windows of this block are the first of the next.
+            self.at += (length - CHUNK_HEAD + 1) as u64;
+        }
+        Ok(None)
+    }
 }
 
 fn read_chunk(path: &Path, file: &File, span: &Range<u64>) -> Result<Bytes> {
@@ -205,11 +238,32 @@ fn read_chunk(path: &Path, file: &File, span: &Range<u64>) -> Result<Bytes> {
         .map_err(DatasetError::io("read", path))
 }
 
-/// The frame of a message, if it is one and fits the header.
-fn decode_frame(bytes: Bytes, header: &SequenceHeader) -> Option<(usize, Frame)> {
-    let message = proto::Frame::decode(bytes).ok()?;
-    let index = usize::try_from(message.index).ok()?;
-    let frame = messages::frame_from_message(message).ok()?;
-    frame.check(header).ok()?;
-    Some((index, frame))
+/// Decodes frames of either kind, one after the other.
+struct Decoder<'a> {
+    header: &'a SequenceHeader,
+    last: Dequantiser<'a>,
+}
+
+impl<'a> Decoder<'a> {
+    fn new(header: &'a SequenceHeader) -> Self {
+        let last = Dequantiser::new(header);
+        Self { header, last }
+    }
+
+    /// Index, storage and content of a message, if it is a frame and fits the header.
+    fn frame(&mut self, bytes: Bytes) -> Option<(usize, Storage, Frame)> {
+        if let Ok(message) = proto::Frame::decode(bytes.clone())
+            && let Ok(index) = usize::try_from(message.index)
+            && let Ok(frame) = messages::frame_from_message(message)
+            && frame.check(self.header).is_ok()
+        {
+            return Some((index, Storage::Exact, frame));
+        }
+        let message = proto::QuantisedFrame::decode(bytes).ok()?;
+        let index = usize::try_from(message.index).ok()?;
+        let max_error_m = message.max_error_m;
+        self.last.take(index, &message).ok()?;
+        let frame = self.last.frame(message).ok()?;
+        Some((index, Storage::Quantised { max_error_m }, frame))
+    }
 }
