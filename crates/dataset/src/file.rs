@@ -10,6 +10,7 @@ mod messages;
 mod positional;
 mod quantised;
 mod reader;
+mod records;
 mod recover;
 mod writer;
 

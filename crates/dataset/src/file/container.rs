@@ -10,15 +10,14 @@ use std::fs::File;
 use std::io;
 use std::path::Path;
 
-use mcap::records::{ChunkIndex, MessageHeader, Record, op};
+use mcap::records::op;
 use prost::bytes::Bytes;
 
 use super::positional::read_at;
+use super::records::{ChunkPlace, MessageHead, RECORD_HEAD, Record, next_record};
 use super::{MessageKind, PROTOBUF};
 use crate::error::{DatasetError, Result};
 
-/// Opcode and length before each record.
-const RECORD_HEAD: usize = 9;
 /// Head of an uncompressed chunk: record head, two times, size, CRC, empty
 /// name of a compression, size again.
 pub(super) const CHUNK_HEAD: usize = RECORD_HEAD + 8 + 8 + 8 + 4 + 4 + 8;
@@ -29,13 +28,22 @@ const DATA_END: usize = RECORD_HEAD + 4;
 /// Footer record: head, summary start, summary offset start, CRC.
 const FOOTER: usize = RECORD_HEAD + 8 + 8 + 4;
 
+#[derive(Debug)]
+struct Channel {
+    id: u16,
+    schema_id: u16,
+    topic: String,
+    encoding: String,
+}
+
 /// The file's index, from the summary section at its end.
 #[derive(Debug)]
 pub(super) struct Summary {
-    channels: Vec<mcap::records::Channel>,
-    schemas: Vec<mcap::records::SchemaHeader>,
+    channels: Vec<Channel>,
+    /// Ids and names.
+    schemas: Vec<(u16, String)>,
     /// Chunks in the file's order.
-    pub(super) chunks: Vec<ChunkIndex>,
+    pub(super) chunks: Vec<ChunkPlace>,
     /// Where the data section ends and the summary begins.
     pub(super) start: u64,
 }
@@ -76,12 +84,11 @@ impl Summary {
         if tail[FOOTER..] != *magic {
             return Err(truncated("the end mark and the index are missing"));
         }
-        let Ok(Record::Footer(footer)) = mcap::parse_record(op::FOOTER, &tail[RECORD_HEAD..FOOTER])
-        else {
+        let Some(Record::Footer { summary_start, crc }) = next_record(&mut &tail[..FOOTER]) else {
             return Err(truncated("the footer is missing"));
         };
-        if footer.summary_start == 0 || footer.summary_start > footer_start {
-            let found = format!("an offset of {}", footer.summary_start);
+        if summary_start == 0 || summary_start > footer_start {
+            let found = format!("an offset of {}", summary_start);
             return Err(corrupt(
                 path,
                 "the footer",
@@ -89,30 +96,40 @@ impl Summary {
                 found,
             ));
         }
-        let length = (footer_start - footer.summary_start) as usize;
-        let summary = read(footer.summary_start, length)?;
-        let mut crc = crc32fast::Hasher::new();
-        crc.update(&summary);
-        crc.update(&tail[..FOOTER - 4]);
-        check_crc(path, "the index", footer.summary_crc, crc.finalize())?;
+        let length = (footer_start - summary_start) as usize;
+        let summary = read(summary_start, length)?;
+        let mut computed = crc32fast::Hasher::new();
+        computed.update(&summary);
+        computed.update(&tail[..FOOTER - 4]);
+        check_crc(path, "the index", crc, computed.finalize())?;
 
         let mut index = Self {
             channels: Vec::new(),
             schemas: Vec::new(),
             chunks: Vec::new(),
-            start: footer.summary_start,
+            start: summary_start,
         };
         let mut rest = summary.as_slice();
         while !rest.is_empty() {
             match next_record(&mut rest) {
-                Some(Record::Channel(channel)) => index.channels.push(channel),
-                Some(Record::Schema { header, .. }) => index.schemas.push(header),
+                Some(Record::Channel {
+                    id,
+                    schema_id,
+                    topic,
+                    encoding,
+                }) => index.channels.push(Channel {
+                    id,
+                    schema_id,
+                    topic: topic.to_owned(),
+                    encoding: encoding.to_owned(),
+                }),
+                Some(Record::Schema { id, name }) => index.schemas.push((id, name.to_owned())),
                 Some(Record::ChunkIndex(chunk)) => index.chunks.push(chunk),
                 Some(_) => {}
                 None => return Err(corrupt(path, "the index", "MCAP records", "other bytes")),
             }
         }
-        index.chunks.sort_by_key(|chunk| chunk.chunk_start_offset);
+        index.chunks.sort_by_key(|chunk| chunk.start);
         Ok(index)
     }
 
@@ -141,12 +158,12 @@ impl Summary {
         let found = self
             .schemas
             .iter()
-            .find(|header| header.id == channel.schema_id)
-            .map_or("no schema", |header| header.name.as_str());
-        if found != schema || channel.message_encoding != PROTOBUF {
+            .find(|(id, _)| *id == channel.schema_id)
+            .map_or("no schema", |(_, name)| name.as_str());
+        if found != schema || channel.encoding != PROTOBUF {
             return Err(error(
                 format!("{schema} in {PROTOBUF} on {topic}"),
-                format!("{found} in {}", channel.message_encoding),
+                format!("{found} in {}", channel.encoding),
             ));
         }
         Ok(channel.id)
@@ -196,44 +213,48 @@ pub(super) fn check_data(path: &Path, file: &File, summary_start: u64) -> Result
 pub(super) fn read_message(
     path: &Path,
     file: &File,
-    chunk: &ChunkIndex,
+    chunk: &ChunkPlace,
     channel: u16,
     place: &str,
-) -> Result<(MessageHeader, Bytes)> {
+) -> Result<(MessageHead, Bytes)> {
     let size = file
         .metadata()
         .map_err(DatasetError::io("read", path))?
         .len();
-    let end = chunk.chunk_start_offset.checked_add(chunk.chunk_length);
-    if chunk.chunk_length < RECORD_HEAD as u64 || end.is_none_or(|end| end > size) {
-        let found = format!(
-            "{} bytes at {}",
-            chunk.chunk_length, chunk.chunk_start_offset
-        );
+    let end = chunk.start.checked_add(chunk.length);
+    if chunk.length < RECORD_HEAD as u64 || end.is_none_or(|end| end > size) {
+        let found = format!("{} bytes at {}", chunk.length, chunk.start);
         return Err(corrupt(path, place, "a chunk inside the file", found));
     }
-    let bytes = read_at(file, chunk.chunk_start_offset, chunk.chunk_length as usize)
+    let bytes = read_at(file, chunk.start, chunk.length as usize)
         .map_err(DatasetError::io("read", path))?;
     let bytes = Bytes::from(bytes);
     let mut rest = &bytes[..];
-    let (Some(Record::Chunk { header, data }), true) = (next_record(&mut rest), rest.is_empty())
+    let (
+        Some(Record::Chunk {
+            crc,
+            compression,
+            records,
+        }),
+        true,
+    ) = (next_record(&mut rest), rest.is_empty())
     else {
         return Err(corrupt(path, place, "one MCAP chunk", "other bytes"));
     };
-    if !header.compression.is_empty() {
+    if !compression.is_empty() {
         return Err(DatasetError::NotASequence {
             path: path.into(),
             expected: "uncompressed chunks".into(),
-            found: format!("compression {:?}", header.compression),
+            found: format!("compression {compression:?}"),
         });
     }
-    check_crc(path, place, header.uncompressed_crc, crc32fast::hash(&data))?;
-    let Some(messages) = messages_in(&bytes, &data) else {
+    check_crc(path, place, crc, crc32fast::hash(records))?;
+    let Some(messages) = messages_in(&bytes, records) else {
         return Err(corrupt(path, place, "MCAP records", "other bytes"));
     };
     let mut messages = messages
         .into_iter()
-        .filter(|(head, _)| head.channel_id == channel);
+        .filter(|(head, _)| head.channel == channel);
     let found = messages.next();
     if messages.next().is_some() {
         return Err(corrupt(path, place, "one message a chunk", "several"));
@@ -242,25 +263,27 @@ pub(super) fn read_message(
 }
 
 /// Messages of an uncompressed chunk; `None` if its structure or its CRC is broken.
-pub(super) fn messages_of_chunk(chunk: &Bytes) -> Option<Vec<(MessageHeader, Bytes)>> {
+pub(super) fn messages_of_chunk(chunk: &Bytes) -> Option<Vec<(MessageHead, Bytes)>> {
     let mut rest = &chunk[..];
-    let Record::Chunk { header, data } = next_record(&mut rest)? else {
+    let Record::Chunk {
+        crc,
+        compression,
+        records,
+    } = next_record(&mut rest)?
+    else {
         return None;
     };
-    let sound = rest.is_empty() && header.compression.is_empty();
-    if !sound || header.uncompressed_crc != crc32fast::hash(&data) {
-        return None;
-    }
-    messages_in(chunk, &data)
+    let sound = rest.is_empty() && compression.is_empty() && crc == crc32fast::hash(records);
+    sound.then(|| messages_in(chunk, records))?
 }
 
 /// Messages of the records `data`, which are a part of `chunk`.
-fn messages_in(chunk: &Bytes, data: &[u8]) -> Option<Vec<(MessageHeader, Bytes)>> {
+fn messages_in(chunk: &Bytes, data: &[u8]) -> Option<Vec<(MessageHead, Bytes)>> {
     let mut messages = Vec::new();
     let mut records = data;
     while !records.is_empty() {
-        if let Record::Message { header, data } = next_record(&mut records)? {
-            messages.push((header, chunk.slice_ref(&data)));
+        if let Record::Message { head, data } = next_record(&mut records)? {
+            messages.push((head, chunk.slice_ref(data)));
         }
     }
     Some(messages)
@@ -276,22 +299,6 @@ pub(super) fn plausible_chunk(head: &[u8]) -> Option<u64> {
     let sound =
         head[0] == op::CHUNK && uncompressed && body == size && word(RECORD_HEAD + 32)? == size;
     sound.then(|| length.checked_add(RECORD_HEAD as u64))?
-}
-
-/// Takes the first record off `bytes`; `None` when there is none.
-fn next_record<'a>(bytes: &mut &'a [u8]) -> Option<Record<'a>> {
-    let (&opcode, rest) = bytes.split_first()?;
-    let (length, rest) = rest.split_first_chunk::<8>()?;
-    let (body, rest) = rest.split_at_checked(usize::try_from(u64::from_le_bytes(*length)).ok()?)?;
-    *bytes = rest;
-    match opcode {
-        // The parser assumes that an attachment has at least its four CRC bytes.
-        op::ATTACHMENT => Some(Record::Unknown {
-            opcode,
-            data: body.into(),
-        }),
-        _ => mcap::parse_record(opcode, body).ok(),
-    }
 }
 
 fn check_crc(path: &Path, place: &str, stored: u32, computed: u32) -> Result<()> {

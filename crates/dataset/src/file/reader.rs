@@ -4,13 +4,13 @@ use std::fs::File;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use mcap::records::ChunkIndex;
 use prost::Message;
 use prost::bytes::Bytes;
 
 use super::container::{Summary, check_data, corrupt, read_message};
 use super::messages::{self, proto};
 use super::quantised::{Dequantiser, MAX_SINCE_KEY, Storage};
+use super::records::ChunkPlace;
 use super::recover::Whole;
 use super::{FORMAT_MAJOR, FRAME, HEADER, QUANTISED_FRAME};
 use crate::error::{DatasetError, Result};
@@ -29,7 +29,7 @@ pub struct SequenceReader {
     /// Where the data section ends and the summary begins.
     summary_start: u64,
     frame_channel: u16,
-    frames: Vec<ChunkIndex>,
+    frames: Vec<ChunkPlace>,
 }
 
 impl SequenceReader {
@@ -50,9 +50,9 @@ impl SequenceReader {
         let mut headers = Vec::new();
         let mut frames = Vec::new();
         for chunk in summary.chunks {
-            if chunk.message_index_offsets.contains_key(&frame_channel) {
+            if chunk.channels.contains(&frame_channel) {
                 frames.push(chunk);
-            } else if chunk.message_index_offsets.contains_key(&header_channel) {
+            } else if chunk.channels.contains(&header_channel) {
                 headers.push(chunk);
             }
         }

@@ -9,7 +9,6 @@ use std::fs::File;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use mcap::records::MessageHeader;
 use prost::Message;
 use prost::bytes::Bytes;
 
@@ -18,6 +17,7 @@ use super::messages::{self, proto};
 use super::positional::read_at;
 use super::quantised::{Dequantiser, Storage};
 use super::reader::decode_header;
+use super::records::MessageHead;
 use super::writer::SequenceWriter;
 use crate::error::{DatasetError, Result};
 use crate::sequence::{Frame, SequenceHeader};
@@ -188,7 +188,7 @@ impl Whole {
 }
 
 /// A chunk's place and messages.
-type Chunk = (Range<u64>, Vec<(MessageHeader, Bytes)>);
+type Chunk = (Range<u64>, Vec<(MessageHead, Bytes)>);
 
 /// Sound chunks of a file, in its order.
 struct Chunks<'a> {
