@@ -13,16 +13,12 @@ use drape_dataset::obj::GarmentMesh;
 use drape_dataset::patches::patch_of_face;
 use drape_dataset::registry::GarmentKind;
 use drape_dataset::sequence::{Frame, Material};
-use drape_geometry::mesh::defects;
 use drape_view::inspection::Inspection;
 use drape_view::patches::patch_sheet;
 use drape_view::sheet::{Clip, SheetOptions, contact_sheet, spread};
 
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
-
-/// Defects of a garment that are named.
-const NAMED_DEFECTS: usize = 3;
 
 /// Show what a sequence file holds: contents, checks, a contact sheet of
 /// shaded frames, and the patches that the model would see. Of a garment in an
@@ -128,12 +124,11 @@ fn inspect_garment(arguments: &Arguments) -> Result<bool> {
     println!("extent    {x} × {y} × {z} units");
     println!("\nchecks");
     println!("  ok     numbers, triangles, UVs and areas of every line");
-    let found = defects(&mesh.rest, &mesh.faces, NAMED_DEFECTS);
-    for defect in &found {
-        println!("  note   {defect}");
+    for note in &mesh.notes {
+        println!("  note   {note}");
     }
-    if found.is_empty() {
-        println!("  ok     no edge of more than two faces");
+    if mesh.notes.is_empty() {
+        println!("  ok     triangles only, edges, welding, pieces, size, up axis");
     }
     if !arguments.no_pictures {
         // The picture needs a garment; neither kind nor material is drawn.
