@@ -8,8 +8,9 @@ use std::{env, fs};
 
 use protox::prost::Message;
 
-/// Where the schemas live, seen from this crate.
-const SPEC: &str = "../../data-spec";
+/// Where the schemas live, seen from this crate: links to `data-spec/`, so that a
+/// package of the crate holds them.
+const SPEC: &str = "proto";
 /// A descriptor set for each schema, with all that the schema imports.
 const SCHEMAS: [&str; 2] = ["drape", "quantised"];
 
