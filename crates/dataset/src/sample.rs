@@ -25,15 +25,15 @@ pub type State = [f32; 6];
 pub type StatePair = [f32; 12];
 
 /// The strongest wind of the paper; strengths are divided by it.
-const WIND_STRENGTH_SCALE: f32 = 400.0;
-/// Range of each attribute in the paper's units, mapped to 0–1:
-/// tension, bending, mass, friction between garments, friction of the body.
-const ATTRIBUTE_RANGES: [(f32, f32); 5] = [
-    (15.0, 100.0),
-    (15.0, 200.0),
-    (0.2, 0.8),
-    (40.0, 80.0),
-    (40.0, 80.0),
+pub const WIND_STRENGTH_SCALE: f32 = 400.0;
+/// Name of each attribute and its range in the paper's units, mapped to 0–1
+/// (`data-spec/registry.md`); `friction` is between garments.
+pub const ATTRIBUTE_RANGES: [(&str, f32, f32); 5] = [
+    ("tension", 15.0, 100.0),
+    ("bending", 15.0, 200.0),
+    ("mass", 0.2, 0.8),
+    ("friction", 40.0, 80.0),
+    ("body_friction", 40.0, 80.0),
 ];
 /// Column of the mass.
 const MASS: usize = 2;
@@ -91,7 +91,7 @@ impl Outfit {
                 header.scene.body_friction,
             ];
             let mut row = [0f32; 5];
-            for ((value, raw), (low, high)) in row.iter_mut().zip(raw).zip(ATTRIBUTE_RANGES) {
+            for ((value, raw), (_, low, high)) in row.iter_mut().zip(raw).zip(ATTRIBUTE_RANGES) {
                 *value = (raw - low) / (high - low);
             }
             let index = attributes
