@@ -4,14 +4,16 @@
 //! as JSON in the sequence it made, so that the engine can repeat it with other
 //! settings.
 
+mod cut_range;
 mod effects;
 mod ranges;
 mod recipe;
 mod simulate;
 mod wind;
 
+pub use cut_range::CutRange;
 pub use effects::active_effects;
-pub use ranges::SceneRanges;
+pub use ranges::{SceneRanges, Units};
 pub use recipe::{Recipe, RecipeGarment};
 pub use simulate::{Progress, simulate};
 pub use wind::{WindPivot, wind_at};

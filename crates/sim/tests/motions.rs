@@ -3,7 +3,7 @@
 use drape_dataset::random::stream;
 use drape_sim::body::{Body, Shape};
 use drape_sim::garment::fitting_pose;
-use drape_sim::motion::{LeadIn, Motion};
+use drape_sim::motion::{LeadIn, Motion, MotionFamily};
 use glam::DVec3;
 
 #[test]
@@ -14,7 +14,7 @@ fn motions_start_still_stay_on_the_ground_and_move_like_a_person() {
     let lead = LeadIn { still: 3, ease: 25 };
     let fps = 30.0;
     for number in 0..24 {
-        let motion = Motion::sample(&mut stream(number, "motion"));
+        let motion = MotionFamily::Mixed.sample(&mut stream(number, "motion"));
         let poses = motion.poses(&body, &shaped, &rest, fps, lead, 48).unwrap();
         assert_eq!(poses.len(), 76);
         let start = shaped.pose(&rest);
@@ -63,7 +63,7 @@ fn half_the_pace_takes_twice_the_frames() {
     let rest = fitting_pose(&body, &shaped).unwrap();
     let lead = LeadIn { still: 0, ease: 0 };
     for number in 0..6 {
-        let brisk = Motion::sample(&mut stream(number, "motion"));
+        let brisk = MotionFamily::Mixed.sample(&mut stream(number, "motion"));
         let slow = brisk.clone().at_pace(0.5);
         let poses =
             |motion: &Motion, frames| motion.poses(&body, &shaped, &rest, 30.0, lead, frames);

@@ -34,12 +34,19 @@ pub struct Recipe {
     pub gravity: [f32; 3],
     /// Movement of the body.
     pub motion: Motion,
+    /// Gap in metres that limbs keep from the rest of the body; 0 leaves the motion as it is.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub body_gap_m: f64,
     /// Frames before the first recorded one.
     pub lead_in: LeadIn,
     /// Wind, pivots in order; empty when calm.
     pub wind: Vec<WindPivot>,
     /// The engine's settings.
     pub engine: EngineSettings,
+}
+
+fn is_zero(x: &f64) -> bool {
+    *x == 0.0
 }
 
 /// A garment of a recipe.

@@ -6,10 +6,9 @@
 
 use std::ops::ControlFlow;
 
-use drape_dataset::sequence::{
-    BodyTopology, Frame, Intersections, Root, SceneMeta, SequenceHeader, Wind,
-};
-use drape_geometry::intersect::{count_between, count_within};
+use drape_dataset::intersections::count_intersections;
+use drape_dataset::sequence::{BodyTopology, Frame, Root, SceneMeta, SequenceHeader, Wind};
+use drape_geometry::intersect::count_within;
 
 use super::effects::active_effects;
 use super::recipe::Recipe;
@@ -18,6 +17,7 @@ use crate::body::{Body, Pose, ShapedBody};
 use crate::engine::{Engine, ScenePhysics};
 use crate::error::{Result, SimError};
 use crate::garment::{METRES_PER_UV, Outfit, OutfitRequest, fitting_pose};
+use crate::motion::keep_clear;
 
 /// Scene units per metre.
 const SCALE: f32 = 10.0;
@@ -64,12 +64,14 @@ pub fn simulate(
     let rest = fitting_pose(&body, &shaped)?;
     let fps = f64::from(recipe.fps);
     let lead = recipe.lead_in;
-    let poses = recipe
+    let mut poses = recipe
         .motion
         .poses(&body, &shaped, &rest, fps, lead, recipe.frames)?;
     let first = lead.still + lead.ease;
+    let clearance = make_room(&recipe, &body, &shaped, &mut poses)?;
 
     let mut header = header(&recipe, &body, &outfit);
+    header.scene.warnings.extend(clearance);
     let physics = ScenePhysics {
         scale: SCALE,
         gravity: recipe.gravity,
@@ -112,6 +114,37 @@ pub fn simulate(
         ));
     }
     Ok((header, frames))
+}
+
+/// Turns limbs away from the body and cuts the motion before the first frame
+/// in which one stays too close; says what it did.
+fn make_room(
+    recipe: &Recipe,
+    body: &Body,
+    shaped: &ShapedBody,
+    poses: &mut Vec<Pose>,
+) -> Result<Vec<String>> {
+    if recipe.body_gap_m == 0.0 {
+        return Ok(Vec::new());
+    }
+    let gap = recipe.body_gap_m * f64::from(SCALE);
+    let clearance = keep_clear(body, shaped, poses, recipe.lead_in.still, gap)?;
+    let mut said = Vec::new();
+    let mm = recipe.body_gap_m * 1e3;
+    if !clearance.turned.is_empty() {
+        said.push(format!(
+            "limbs turned away to keep {mm:.0} mm from the body in {} of {} frames, lead-in included",
+            clearance.turned.len(),
+            poses.len()
+        ));
+    }
+    if let Some(&first) = clearance.tight.first() {
+        said.push(format!(
+            "frames from {first} on were cut, lead-in included: a limb is nearer than {mm:.0} mm to the body"
+        ));
+        poses.truncate(first);
+    }
+    Ok(said)
 }
 
 fn header(recipe: &Recipe, body: &Body, outfit: &Outfit) -> SequenceHeader {
@@ -172,20 +205,4 @@ fn frame(
     }
     frame.intersections = Some(count_intersections(header, &frame));
     Ok(frame)
-}
-
-/// Edge–triangle hits of one frame.
-fn count_intersections(header: &SequenceHeader, frame: &Frame) -> Intersections {
-    let mut counts = Intersections::default();
-    let meshes: Vec<_> = frame.garments.iter().zip(&header.garments).collect();
-    for (i, (positions, garment)) in meshes.iter().enumerate() {
-        counts.within_garments += count_within(positions, &garment.faces);
-        counts.with_body +=
-            count_between(positions, &garment.faces, &frame.body, &header.body.faces);
-        for (others, other) in &meshes[i + 1..] {
-            counts.between_garments +=
-                count_between(positions, &garment.faces, others, &other.faces);
-        }
-    }
-    counts
 }
