@@ -4,6 +4,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
@@ -13,6 +14,7 @@ use drape_dataset::splits::{DatasetIndex, INDEX_FILE, Split};
 use drape_dataset::{SequenceReader, SequenceWriter};
 use drape_sim::SimError;
 use drape_sim::engine::EngineSettings;
+use drape_sim::engine::profile::{self, Profile};
 use drape_sim::scene::{Recipe, SceneRanges, simulate};
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
@@ -51,6 +53,9 @@ struct Arguments {
     /// Sequences simulated at the same time; 0 takes all processor cores
     #[arg(long, value_name = "N", default_value_t = 0)]
     threads: usize,
+    /// Print where the engine's time went, effect by effect
+    #[arg(long)]
+    profile: bool,
     /// Print the configuration that would be used, and stop
     #[arg(long)]
     print_config: bool,
@@ -117,6 +122,7 @@ fn run(arguments: &Arguments) -> Result<ExitCode> {
     );
     bar.enable_steady_tick(Duration::from_millis(500));
     bar.set_message("simulating");
+    let times = arguments.profile.then(|| Mutex::new(Profile::default()));
     let started = Instant::now();
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(arguments.threads)
@@ -124,7 +130,7 @@ fn run(arguments: &Arguments) -> Result<ExitCode> {
     let outcomes: Vec<Outcome> = pool.install(|| {
         jobs.par_iter()
             .map(|job| {
-                let outcome = make(job, &config, &arguments.out, &bar, &STOP);
+                let outcome = make(job, &config, &arguments.out, &bar, &STOP, times.as_ref());
                 if let Outcome::Failed(reason) = &outcome {
                     bar.suspend(|| eprintln!("{}: {reason}", job.name));
                 }
@@ -134,6 +140,9 @@ fn run(arguments: &Arguments) -> Result<ExitCode> {
     });
     bar.finish_and_clear();
     report(&outcomes, &config, started.elapsed());
+    if let Some(times) = times {
+        print_profile(&times.into_inner().unwrap_or_else(PoisonError::into_inner));
+    }
     if STOP.load(Ordering::Relaxed) {
         eprintln!(
             "interrupted; finished sequences are in {}: run the same command again to go on",
@@ -224,6 +233,7 @@ fn make(
     folder: &Path,
     bar: &ProgressBar,
     stop: &AtomicBool,
+    times: Option<&Mutex<Profile>>,
 ) -> Outcome {
     let path = folder.join(format!("{}.mcap", job.name));
     let lead = config.scene.lead_in.still + config.scene.lead_in.ease;
@@ -254,15 +264,26 @@ fn make(
     for attempt in 0..config.attempts {
         let started = Instant::now();
         let mut counted = 0;
-        let result = simulate(&recipe(attempt), None, |_| {
-            counted += 1;
-            bar.inc(1);
-            if stop.load(Ordering::Relaxed) {
-                ControlFlow::Break(())
-            } else {
-                ControlFlow::Continue(())
+        let mut run = || {
+            simulate(&recipe(attempt), None, |_| {
+                counted += 1;
+                bar.inc(1);
+                if stop.load(Ordering::Relaxed) {
+                    ControlFlow::Break(())
+                } else {
+                    ControlFlow::Continue(())
+                }
+            })
+        };
+        let result = match times {
+            None => run(),
+            Some(times) => {
+                let (result, profile) = profile::recorded(run);
+                let mut times = times.lock().unwrap_or_else(PoisonError::into_inner);
+                times.add(&profile);
+                result
             }
-        });
+        };
         match result {
             Ok((header, frames)) => {
                 if let Err(error) = write(&path, &header, &frames) {
@@ -384,6 +405,18 @@ fn report(outcomes: &[Outcome], config: &Config, elapsed: Duration) {
             elapsed.as_secs_f64(),
             spent.as_secs_f64() / simulated as f64,
             simulated as f64 / elapsed.as_secs_f64() * 3600.0
+        );
+    }
+}
+
+/// The engine's times; bodies, garments, counting and files are not in them.
+fn print_profile(profile: &Profile) {
+    if profile.frames == 0 {
+        println!("profile        no frame was simulated: every sequence was there already");
+    } else {
+        println!(
+            "\nThe engine's time by effect (frames that led in are counted, time of all threads \
+             together):\n\n{profile}"
         );
     }
 }

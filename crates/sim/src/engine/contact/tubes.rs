@@ -9,6 +9,7 @@
 
 use glam::DVec3;
 
+use super::tree::MovingBox;
 use crate::engine::state::State;
 
 /// Narrowest growth of a tube, m per substep.
@@ -16,7 +17,7 @@ const NARROWEST_M: f64 = 0.15e-3;
 /// Widest growth of a tube, m per substep.
 const WIDEST_M: f64 = 2e-3;
 /// A vertex may be this far out of its tube.
-const SLACK_M: f64 = 1.5e-3;
+pub(crate) const SLACK_M: f64 = 1.5e-3;
 
 /// Tubes of all vertices.
 #[derive(Clone, Debug)]
@@ -31,6 +32,8 @@ pub(crate) struct Tubes {
     deviation: Vec<f64>,
     /// Substeps since the last search; `None` before the first.
     age: Option<u32>,
+    /// Substeps the tubes are laid for.
+    substeps: f64,
 }
 
 impl Tubes {
@@ -42,6 +45,7 @@ impl Tubes {
             radius: vec![0.0; count],
             deviation: vec![0.3e-3; state.cloth],
             age: None,
+            substeps: 0.0,
         }
     }
 
@@ -55,8 +59,9 @@ impl Tubes {
         self.age = None;
     }
 
-    /// Lays new tubes along the present velocities.
-    pub fn lay(&mut self, state: &State, h: f64) {
+    /// Lays new tubes for `substeps` along the present velocities.
+    pub fn lay(&mut self, state: &State, h: f64, substeps: f64) {
+        self.substeps = substeps;
         self.start.copy_from_slice(&state.x);
         for i in 0..state.x.len() {
             self.step[i] = state.v[i] * h;
@@ -75,6 +80,17 @@ impl Tubes {
     /// How far the present substep of a cloth vertex deviates from its line's step, m.
     pub fn deviation(&self, state: &State, i: usize) -> f64 {
         (state.p[i] - state.x[i]).distance(self.step[i])
+    }
+
+    /// The way of a cloth vertex in the present substep, with its own tube as
+    /// motion: a box that at the time of the substep holds where it goes.
+    pub fn way(&self, state: &State, i: usize) -> MovingBox {
+        let age = f64::from(self.age.unwrap_or(0));
+        let along = self.substeps * self.step[i];
+        let from = state.x[i] - age * self.step[i];
+        let to = state.p[i] - (age + 1.0) * self.step[i];
+        let at = |place: DVec3| MovingBox::of(place, place + along, 0.0);
+        at(from).union(&at(to))
     }
 
     /// Notes where the substep led.

@@ -5,11 +5,13 @@
 //! | [`laws`] | fall, elongation, friction angle, terminal speed, momentum, energy |
 //! | [`effects`] | what is not called for never runs and changes no bit |
 //! | [`contacts`] | layers on a moving body stay apart; what is inside comes out |
+//! | [`profiles`] | where time goes: every effect has its row, asking changes nothing |
 //! | [`robust`] | extreme and bad input |
 
 mod contacts;
 mod effects;
 mod laws;
+mod profiles;
 mod robust;
 
 use drape_dataset::registry::{Effect, GarmentKind};
