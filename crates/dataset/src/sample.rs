@@ -138,7 +138,7 @@ impl Outfit {
     /// Vertex mass of a patch's garment in the paper's units.
     pub fn mass(&self, patch: usize) -> f32 {
         let row = self.patch_attributes.row(patch)[0];
-        let (low, high) = ATTRIBUTE_RANGES[MASS];
+        let (_, low, high) = ATTRIBUTE_RANGES[MASS];
         low + self.attributes[row as usize][MASS] * (high - low)
     }
 
