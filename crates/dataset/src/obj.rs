@@ -4,8 +4,9 @@
 //! UVs in `[0, 1]`. Panels are the islands of the UV map. What cannot be a garment is
 //! refused with the line it stands in: missing UVs that were invented train silently
 //! wrong. What can be one, but may not be meant so, is told in
-//! [`GarmentMesh::notes`]: polygons, which are cut into triangles, and what
-//! [`notes`](self::notes) finds. Normals, groups, smoothing and materials are read over.
+//! [`GarmentMesh::notes`]: polygons, which are cut into triangles, edges that are not a
+//! manifold's, vertices in one place, pieces, and a guess at unit and up axis. Normals,
+//! groups, smoothing and materials are read over.
 //!
 //! `tobj` reads the mesh. What it would pass over in silence is checked line by
 //! line before: it invents missing UVs, takes index 0 for none, and knows no
@@ -13,7 +14,7 @@
 //! which would break the link to recorded frames: a first face that names all in
 //! the file's order prevents that.
 
-pub mod notes;
+mod notes;
 
 use std::fmt::Write;
 use std::fs;

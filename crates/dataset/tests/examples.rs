@@ -1,6 +1,9 @@
 //! The examples of the guide run, and say what they should; the Python one plots what
 //! the file holds, where there is a Python with mcap and matplotlib.
 
+// Each example takes its own copy of what they share.
+#![allow(clippy::duplicate_mod)]
+
 #[path = "../examples/copy_for_viewing.rs"]
 mod copy_for_viewing;
 #[allow(dead_code)]
