@@ -45,6 +45,7 @@ fn main() -> Result<()> {
     let request = OutfitRequest {
         garments: &garments,
         edge_m,
+        trimmed_layers: true,
     };
     let outfit = Outfit::fit(&body, &body.shaped(&shape), &request)?;
     for garment in &outfit.garments {

@@ -30,6 +30,22 @@ pub enum SimError {
         /// What is wrong with it.
         reason: String,
     },
+    /// A file with a motion is not what it should be.
+    #[error(
+        "{}{}: expected {expected}, found {found}; a BVH file as the CMU recordings have it works",
+        path.display(),
+        if *line > 0 { format!(", line {line}") } else { String::new() }
+    )]
+    MotionFile {
+        /// The file.
+        path: std::path::PathBuf,
+        /// Line, from 1; 0 for the file as a whole.
+        line: usize,
+        /// What should be there.
+        expected: String,
+        /// What is there.
+        found: String,
+    },
     /// Whoever started the simulation asked it to stop.
     #[error("stopped at frame {frame}, as asked")]
     Stopped {

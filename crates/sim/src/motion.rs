@@ -6,7 +6,9 @@
 //! over), a walk moves it forward along its heading.
 
 mod angles;
+mod bvh;
 mod clearance;
+mod clip;
 mod family;
 mod movement;
 
@@ -17,6 +19,7 @@ use crate::body::{Body, Pose, ShapedBody};
 use crate::error::Result;
 
 pub use clearance::{Clearance, keep_clear};
+pub use clip::{Clip, NEEDED, WELCOME};
 pub use family::MotionFamily;
 pub use movement::Movement;
 
@@ -34,6 +37,9 @@ pub struct Motion {
     /// How far the arms come down from the rest pose, in degrees; the rest
     /// pose has them about 40° from the torso.
     pub arms_down_deg: f64,
+    /// A recorded motion instead of movements.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clip: Option<Clip>,
 }
 
 /// Frames before a motion: the body stands still, then eases in.
@@ -53,6 +59,9 @@ impl Motion {
         for movement in &mut self.movements {
             *movement = movement.at_pace(pace);
         }
+        if let Some(clip) = &mut self.clip {
+            clip.pace *= pace;
+        }
         self
     }
 
@@ -60,7 +69,7 @@ impl Motion {
     /// pose `rest`; frame `lead.still + lead.ease` is time 0 of the motion.
     ///
     /// # Errors
-    /// The body's rig lacks a joint.
+    /// The body's rig lacks a joint, or the clip cannot be used.
     pub fn poses(
         &self,
         body: &Body,
@@ -70,6 +79,9 @@ impl Motion {
         lead: LeadIn,
         frames: usize,
     ) -> Result<Vec<Pose>> {
+        if let Some(clip) = &self.clip {
+            return clip.poses(body, shaped, rest, fps, lead, frames);
+        }
         let mut feet = [0; 4];
         for (slot, name) in feet.iter_mut().zip(FEET) {
             *slot = body.joint(name)?.index();

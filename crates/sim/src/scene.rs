@@ -6,6 +6,7 @@
 
 mod cut_range;
 mod effects;
+mod quality;
 mod ranges;
 mod recipe;
 mod simulate;
@@ -13,7 +14,8 @@ mod wind;
 
 pub use cut_range::CutRange;
 pub use effects::active_effects;
+pub use quality::Quality;
 pub use ranges::{SceneRanges, Units};
-pub use recipe::{Recipe, RecipeGarment};
+pub use recipe::{BodyGap, Recipe, RecipeGarment};
 pub use simulate::{Progress, simulate};
 pub use wind::{WindPivot, wind_at};

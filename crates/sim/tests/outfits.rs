@@ -28,6 +28,7 @@ fn drawn(ranges: &SceneRanges, count: usize) -> Vec<Outfit> {
             let request = OutfitRequest {
                 garments: &garments,
                 edge_m: recipe.edge_m,
+                trimmed_layers: recipe.trimmed_layers,
             };
             Outfit::fit(&body, &body.shaped(&recipe.shape), &request)
                 .map_err(|error| println!("{name}: {error}"))

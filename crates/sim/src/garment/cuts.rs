@@ -26,9 +26,19 @@ pub(super) struct Cuts {
     pub panel: fn(u32) -> String,
 }
 
-/// The cuts of a kind on a body. Its side and shoulder seams, and the neckline at
-/// the nape, run `forward` units in front of the usual.
-pub(super) fn cuts(spec: &GarmentParameters, a: &Arc<Anatomy>, forward: f64) -> Cuts {
+/// How the cuts of a garment depart from the usual; in units.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Alteration {
+    /// How far the side and shoulder seams, and the neckline at the nape, come forward.
+    pub forward: f64,
+    /// How far necklines move away from the neck for the layers below, and that
+    /// nothing but a hood reaches above the neck, however many layers there are.
+    pub collar: Option<f64>,
+}
+
+/// The cuts of a kind on a body.
+pub(super) fn cuts(spec: &GarmentParameters, a: &Arc<Anatomy>, alteration: Alteration) -> Cuts {
+    let forward = alteration.forward;
     let mut cuts = Cuts {
         removed: Vec::new(),
         seams: Vec::new(),
@@ -46,7 +56,8 @@ pub(super) fn cuts(spec: &GarmentParameters, a: &Arc<Anatomy>, forward: f64) -> 
         } else {
             let jumpsuit = spec.kind == GarmentKind::Jumpsuit;
             let higher = if jumpsuit { 0.3 } else { forward };
-            cuts.removed.push(neckline(spec.kind, a, higher));
+            cuts.removed
+                .push(neckline(spec.kind, a, higher, alteration.collar));
         }
         cuts.sleeves(spec, a);
     } else {
@@ -79,7 +90,7 @@ fn hem(spec: &GarmentParameters, a: &Anatomy) -> f64 {
 /// An elliptic hole around the neck, wider for outer kinds and towards the throat.
 /// `higher` units are left standing at the nape: where the hole's edge is nearly
 /// parallel to a back, it would run far down.
-fn neckline(kind: GarmentKind, a: &Anatomy, higher: f64) -> Cut {
+fn neckline(kind: GarmentKind, a: &Anatomy, higher: f64, collar: Option<f64>) -> Cut {
     let neck = a.neck;
     let (centre, half) = a.neck_section;
     let wide = if kind == GarmentKind::TShirt {
@@ -87,9 +98,13 @@ fn neckline(kind: GarmentKind, a: &Anatomy, higher: f64) -> Cut {
     } else {
         0.46
     };
+    let wide = wide + collar.unwrap_or(0.0);
     let half = half + DVec2::new(wide, wide - 0.5 * higher);
+    // From a little above the neck's base on the hole opens like a funnel.
+    let funnel = if collar.is_some() { 2.0 } else { 0.0 };
     let centre = centre - DVec2::new(0.0, 0.5 * higher);
     Box::new(move |p| {
+        let half = half + DVec2::splat(funnel * (p.z - neck.z - 0.2).max(0.0));
         let q = (p.truncate() - centre) / half;
         (half.x * (1.0 - q.length())).min(p.z - neck.z + 2.2)
     })

@@ -11,7 +11,7 @@ use drape_geometry::vector::distance2;
 use glam::{DQuat, DVec2, DVec3};
 
 use super::anatomy::Anatomy;
-use super::cuts::{Cuts, cuts};
+use super::cuts::{Alteration, Cuts, cuts};
 use super::field::Field;
 use super::flatten::{Flat, flatten, pack};
 use super::parameters::GarmentParameters;
@@ -52,6 +52,10 @@ pub struct OutfitRequest<'a> {
     pub garments: &'a [(GarmentParameters, Material)],
     /// Target edge length in metres (0.01–0.06).
     pub edge_m: f64,
+    /// Inner garments end at their hems for the garments over them too: pants
+    /// over a T-shirt are pants. Otherwise the outer garment follows the inner
+    /// one's shape also where that was cut away.
+    pub trimmed_layers: bool,
 }
 
 /// Garments that fit, and the body they were fitted on.
@@ -109,8 +113,10 @@ impl Outfit {
         };
         for (layer, (parameters, material)) in request.garments.iter().enumerate() {
             let field = pattern::field(parameters, &anatomy, &distance, inner.as_ref(), LAYER_GAP)?;
+            let collar = request.trimmed_layers.then_some(LAYER_GAP * layer as f64);
             let attempt = |(scale, forward): (f64, f64)| {
-                let cuts = cuts(parameters, &anatomy, forward);
+                let alteration = Alteration { forward, collar };
+                let cuts = cuts(parameters, &anatomy, alteration);
                 let made = sew(
                     &field,
                     &cuts,
@@ -129,7 +135,14 @@ impl Outfit {
                 })?;
             outfit.garments.push(garment);
             outfit.waistbands.push(waistband);
-            inner = Some(field);
+            inner = Some(if request.trimmed_layers {
+                let forward = 0.0;
+                let cuts = cuts(parameters, &anatomy, Alteration { forward, collar });
+                let worn = field.trimmed(&cuts.removed);
+                inner.map_or_else(|| worn.clone(), |inner| inner.joined(&worn))
+            } else {
+                field
+            });
         }
         Ok(outfit)
     }

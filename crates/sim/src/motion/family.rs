@@ -82,6 +82,7 @@ impl MotionFamily {
         Motion {
             movements,
             arms_down_deg: rng.random_range(0.0..12.0),
+            clip: None,
         }
     }
 }
@@ -124,7 +125,7 @@ impl Draw<'_> {
                 phase: self.phase(),
             }],
             MotionFamily::March => vec![Movement::March {
-                angle_deg: self.between(50.0, 80.0),
+                angle_deg: self.between(40.0, 65.0),
                 period_s: self.between(1.1, 1.6),
                 phase: self.phase(),
             }],
@@ -143,12 +144,12 @@ impl Draw<'_> {
                 phase: self.phase(),
             }],
             MotionFamily::CrossArms => vec![Movement::CrossArms {
-                angle_deg: self.between(20.0, 45.0),
+                angle_deg: self.between(12.0, 30.0),
                 period_s: self.between(1.6, 2.6),
                 phase: self.phase(),
             }],
             MotionFamily::Squat => vec![self.squat(55.0, 100.0)],
-            MotionFamily::DeepSquat => vec![self.squat(105.0, 130.0)],
+            MotionFamily::DeepSquat => vec![self.squat(105.0, 120.0)],
             MotionFamily::Twist => vec![
                 Movement::Twist {
                     angle_deg: self.between(25.0, 45.0),
@@ -170,7 +171,7 @@ impl Draw<'_> {
             }],
             MotionFamily::Kick => vec![Movement::Kick {
                 left: self.coin(),
-                angle_deg: self.between(60.0, 95.0),
+                angle_deg: self.between(50.0, 75.0),
                 period_s: self.between(1.4, 2.0),
                 phase: self.phase(),
             }],
@@ -181,7 +182,7 @@ impl Draw<'_> {
             }],
             MotionFamily::Lunge => vec![Movement::Lunge {
                 left: self.coin(),
-                knee_deg: self.between(60.0, 95.0),
+                knee_deg: self.between(60.0, 85.0),
                 period_s: self.between(1.8, 2.8),
                 phase: self.phase(),
             }],
@@ -354,5 +355,6 @@ fn mixed(rng: &mut ChaCha8Rng) -> Motion {
     Motion {
         movements,
         arms_down_deg: rng.random_range(0.0..10.0),
+        clip: None,
     }
 }

@@ -278,11 +278,11 @@ impl Movement {
                     limbs.hip_flexion += stride * at.sin() + 0.35 * stride;
                     limbs.hip_abduction += 0.04;
                     let bend = 0.5 + 0.5 * (at + 0.3).cos();
-                    limbs.knee_flexion += 0.3 + 2.2 * stride * bend * bend;
+                    limbs.knee_flexion += 0.3 + 1.9 * stride * bend * bend;
                     limbs.ankle_flexion += 0.3 * stride * at.sin();
                     limbs.arm_swing -= 0.9 * stride * at.sin() - 0.1;
                     limbs.arm_raise += 0.1;
-                    limbs.elbow_flexion += 1.2 - 0.2 * stride * at.sin();
+                    limbs.elbow_flexion += 0.85 - 0.2 * stride * at.sin();
                 }
                 angles.twist -= 0.3 * stride * at.sin();
                 angles.bend += 0.12;
@@ -397,8 +397,8 @@ impl Movement {
             } => {
                 let share = pulse(period_s, phase);
                 for (limbs, higher) in angles.limbs.iter_mut().zip([0.14, -0.14]) {
-                    limbs.arm_swing += (1.25 + higher) * share;
-                    limbs.arm_raise -= 0.25 * share;
+                    limbs.arm_swing += (1.0 + higher) * share;
+                    limbs.arm_raise += 0.3 * share;
                     limbs.arm_cross += angle_deg.to_radians() * share;
                     limbs.elbow_flexion += 0.35 * share;
                 }

@@ -15,7 +15,8 @@ pub enum CutRange {
     /// Cuts that look like the kind: jackets have long sleeves, T-shirts short ones.
     Common,
     /// All cuts: T-shirts and jumpsuits with and without sleeves, sleeves of any
-    /// length, skirts of 2, 4 and 8 panels, narrow and wide.
+    /// length, skirts of 2, 4 and 8 panels, narrow and wide. Each layer ends at its
+    /// hems for those over it too.
     All,
 }
 

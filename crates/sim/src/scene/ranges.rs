@@ -3,6 +3,8 @@
 //! Every part of a scene has a random stream of its own under the sequence's
 //! seed, so that changing one range leaves the other parts as they were.
 
+use std::path::PathBuf;
+
 use drape_dataset::random::stream;
 use drape_dataset::registry::GarmentKind;
 use drape_dataset::sequence::Material;
@@ -11,13 +13,13 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 use super::cut_range::CutRange;
-use super::recipe::{Recipe, RecipeGarment};
+use super::recipe::{BodyGap, Recipe, RecipeGarment};
 use super::wind;
 use crate::body::ShapeRanges;
 use crate::engine::EngineSettings;
 use crate::error::{Result, SimError};
 use crate::garment::GarmentParameters;
-use crate::motion::{LeadIn, MotionFamily};
+use crate::motion::{Clip, LeadIn, Motion, MotionFamily};
 
 /// Ranges of scenes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -29,6 +31,8 @@ pub struct SceneRanges {
     pub cuts: CutRange,
     /// Families of motions; sequences take them in turn.
     pub motions: Vec<MotionFamily>,
+    /// BVH files with recorded motions; sequences take them and the families in turn.
+    pub clips: Vec<PathBuf>,
     /// Gap in metres that limbs keep from the rest of the body: at least 0.004,
     /// more where cloth lies between; 0 leaves the motions as they are.
     pub body_gap_m: f64,
@@ -89,6 +93,7 @@ impl Default for SceneRanges {
             ],
             cuts: CutRange::Common,
             motions: vec![MotionFamily::Mixed],
+            clips: Vec::new(),
             body_gap_m: 0.0,
             units: Units::Real,
             fps: 30.0,
@@ -168,10 +173,10 @@ impl SceneRanges {
             range(name, values, [0.0, 1.0])?;
         }
         range("body_gap_m", [self.body_gap_m; 2], [0.0, 0.05])?;
-        if self.motions.is_empty() {
+        if self.motions.is_empty() && self.clips.is_empty() {
             return Err(SimError::value(
                 "scene.motions",
-                "at least one family of motions",
+                "at least one family of motions, or scene.clips",
                 "none",
             ));
         }
@@ -185,11 +190,22 @@ impl SceneRanges {
         Ok(())
     }
 
-    /// Family of the `number`th sequence: in turn, and shifted at every round of
-    /// the outfits, so that each outfit meets all of them.
-    fn family(&self, number: usize) -> MotionFamily {
+    /// Motion of the `number`th sequence: families and clips in turn, and shifted at
+    /// every round of the outfits, so that each outfit meets all of them.
+    fn motion(&self, number: usize, rng: &mut ChaCha8Rng) -> Motion {
         let round = number / self.outfits.len();
-        self.motions[(number + round) % self.motions.len()]
+        let turn = (number + round) % (self.motions.len() + self.clips.len());
+        match self.motions.get(turn) {
+            Some(family) => family.sample(rng),
+            None => Motion {
+                clip: Some(Clip {
+                    path: self.clips[turn - self.motions.len()].clone(),
+                    start: rng.random(),
+                    pace: 1.0,
+                }),
+                ..Motion::default()
+            },
+        }
     }
 
     /// Draws the recipe of sequence `name`, the `number`th of its split.
@@ -232,12 +248,15 @@ impl SceneRanges {
             body_friction,
             edge_m: edge_for(self.outfit_vertices, &garments, shape.height),
             garments,
+            trimmed_layers: self.cuts == CutRange::All,
             gravity: [0.0, 0.0, self.units.gravity()],
             motion: self
-                .family(number)
-                .sample(&mut part("motion"))
+                .motion(number, &mut part("motion"))
                 .at_pace(between(&mut part("pace"), self.pace)),
-            body_gap_m: self.body_gap_m,
+            body_gap: (self.body_gap_m > 0.0).then_some(BodyGap {
+                gap_m: self.body_gap_m,
+                frames,
+            }),
             lead_in: self.lead_in,
             wind: if calm {
                 Vec::new()

@@ -7,11 +7,13 @@
 use std::ops::ControlFlow;
 
 use drape_dataset::intersections::count_intersections;
-use drape_dataset::sequence::{BodyTopology, Frame, Root, SceneMeta, SequenceHeader, Wind};
+use drape_dataset::sequence::{
+    BodyTopology, Frame, Intersections, Root, SceneMeta, SequenceHeader, Wind,
+};
 use drape_geometry::intersect::count_within;
 
 use super::effects::active_effects;
-use super::recipe::Recipe;
+use super::recipe::{BodyGap, Recipe};
 use super::wind::wind_at;
 use crate::body::{Body, Pose, ShapedBody};
 use crate::engine::{Engine, ScenePhysics};
@@ -27,8 +29,10 @@ const SCALE: f32 = 10.0;
 pub struct Progress {
     /// Frames done, lead-in included.
     pub done: usize,
-    /// Frames in all, lead-in included.
+    /// Frames in all, lead-in included; fewer than asked for when the motion had to be cut.
     pub of: usize,
+    /// Hits in the frame that was done last; none while in the lead-in.
+    pub intersections: Option<Intersections>,
 }
 
 /// Simulates a recipe; `substeps` replaces the engine's number of steps a
@@ -59,19 +63,27 @@ pub fn simulate(
         &OutfitRequest {
             garments: &garments,
             edge_m: recipe.edge_m,
+            trimmed_layers: recipe.trimmed_layers,
         },
     )?;
     let rest = fitting_pose(&body, &shaped)?;
     let fps = f64::from(recipe.fps);
     let lead = recipe.lead_in;
-    let mut poses = recipe
-        .motion
-        .poses(&body, &shaped, &rest, fps, lead, recipe.frames)?;
     let first = lead.still + lead.ease;
-    let clearance = make_room(&recipe, &body, &shaped, &mut poses)?;
+    let looked_at = recipe.body_gap.map_or(0, |gap| gap.frames);
+    let mut poses = recipe.motion.poses(
+        &body,
+        &shaped,
+        &rest,
+        fps,
+        lead,
+        recipe.frames.max(looked_at),
+    )?;
+    let cleared = make_room(&recipe, &body, &shaped, &mut poses)?;
+    poses.truncate(first + recipe.frames);
 
     let mut header = header(&recipe, &body, &outfit);
-    header.scene.warnings.extend(clearance);
+    header.scene.warnings.extend(cleared);
     let physics = ScenePhysics {
         scale: SCALE,
         gravity: recipe.gravity,
@@ -102,6 +114,7 @@ pub fn simulate(
         let now = Progress {
             done: number + 1,
             of: poses.len(),
+            intersections: frames.last().and_then(|frame| frame.intersections),
         };
         if progress(now).is_break() {
             return Err(SimError::Stopped { frame: number + 1 });
@@ -124,13 +137,13 @@ fn make_room(
     shaped: &ShapedBody,
     poses: &mut Vec<Pose>,
 ) -> Result<Vec<String>> {
-    if recipe.body_gap_m == 0.0 {
+    let Some(BodyGap { gap_m, .. }) = recipe.body_gap else {
         return Ok(Vec::new());
-    }
-    let gap = recipe.body_gap_m * f64::from(SCALE);
+    };
+    let gap = gap_m * f64::from(SCALE);
     let clearance = keep_clear(body, shaped, poses, recipe.lead_in.still, gap)?;
     let mut said = Vec::new();
-    let mm = recipe.body_gap_m * 1e3;
+    let mm = gap_m * 1e3;
     if !clearance.turned.is_empty() {
         said.push(format!(
             "limbs turned away to keep {mm:.0} mm from the body in {} of {} frames, lead-in included",
