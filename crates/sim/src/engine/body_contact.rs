@@ -44,12 +44,9 @@ impl BodyContact {
 
     /// Lists the pairs that can matter before the next search.
     pub fn search(&mut self, within: &Search) {
-        self.list.pairs.clear();
+        self.list.begin(within.now, within.substeps);
         let Search {
-            surfaces,
-            state,
-            now,
-            ..
+            surfaces, state, ..
         } = *within;
         let (thickness, friction) = (self.thickness, self.friction);
         for v in 0..state.cloth as u32 {
@@ -57,7 +54,7 @@ impl BodyContact {
         }
         let inside = |v: u32| self.inside[v as usize];
         let normal = |v: u32| surfaces.normals[v as usize];
-        let pairs = &mut self.list.pairs;
+        let list = &mut self.list;
         let (reach, body) = (within.reach(thickness), &surfaces.body);
         for garment in &surfaces.garments {
             body.vertices_and_faces(garment, reach, |vertices| {
@@ -65,12 +62,17 @@ impl BodyContact {
                 if inside(a) || inside(b) || inside(c) {
                     return;
                 }
-                let found = within.candidate(vertices, Features::VertexFace, thickness);
-                if let Some(found) = found {
-                    let pokes = found.separation.interior
-                        && found.distance < POKE_M
-                        && found.separation.d.dot(normal(v)) > 0.5 * found.distance;
-                    pairs.push(found.pair(thickness, friction, pokes, now));
+                let found = within.measure(vertices, Features::VertexFace);
+                let pokes = found.separation.interior
+                    && found.distance < POKE_M
+                    && found.separation.d.dot(normal(v)) > 0.5 * found.distance;
+                let pair = if pokes {
+                    within.rescue(&found, thickness, friction)
+                } else {
+                    within.pair(&found, thickness, friction)
+                };
+                if let Some(pair) = pair {
+                    list.push(pair);
                 }
             });
             garment.edges_and_edges(body, reach, |vertices| {
@@ -78,13 +80,13 @@ impl BodyContact {
                 if inside(a) || inside(b) {
                     return;
                 }
-                let found = within.candidate(vertices, Features::EdgeEdge, thickness);
-                if let Some(found) = found {
+                let found = within.measure(vertices, Features::EdgeEdge);
+                if let Some(pair) = within.pair(&found, thickness, friction) {
                     let through = found.separation.interior
                         && found.distance < POKE_M
                         && found.separation.d.dot(normal(c) + normal(d)) < -found.distance;
                     if !through {
-                        pairs.push(found.pair(thickness, friction, false, now));
+                        list.push(pair);
                     }
                 }
             });
@@ -93,10 +95,7 @@ impl BodyContact {
 
     fn cloth_vertex(&mut self, v: u32, within: &Search) {
         let Search {
-            surfaces,
-            state,
-            now,
-            ..
+            surfaces, state, ..
         } = *within;
         if state.w[v as usize] == 0.0 {
             return;
@@ -106,7 +105,7 @@ impl BodyContact {
         let near = &mut self.near;
         near.clear();
         surfaces.body_faces_near(v, within.reach(look), |vertices| {
-            near.extend(within.candidate(vertices, Features::VertexFace, look));
+            near.push(within.measure(vertices, Features::VertexFace));
         });
         let nearest = near.iter().min_by(|a, b| a.distance.total_cmp(&b.distance));
         let Some(nearest) = nearest else {
@@ -125,17 +124,14 @@ impl BodyContact {
         };
         let inside = nearest.separation.d.dot(normal) < 0.0;
         self.inside[v as usize] = inside;
+        let pair = |found| within.pair(found, self.thickness, self.friction);
         if inside {
-            self.list
-                .pairs
-                .push(nearest.pair(self.thickness, self.friction, true, now));
-            return;
-        }
-        for found in near.iter() {
-            if within.matters(found, self.thickness) {
-                self.list
-                    .pairs
-                    .push(found.pair(self.thickness, self.friction, false, now));
+            if let Some(pair) = within.rescue(nearest, self.thickness, self.friction) {
+                self.list.push(pair);
+            }
+        } else {
+            for pair in near.iter().filter_map(pair) {
+                self.list.push(pair);
             }
         }
     }

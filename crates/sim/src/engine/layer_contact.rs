@@ -41,7 +41,7 @@ impl LayerContact {
 
     /// Lists the pairs that can matter before the next search.
     pub fn search(&mut self, within: &Search) {
-        self.list.pairs.clear();
+        self.list.begin(within.now, within.substeps);
         self.doubtful.clear();
         self.wrong.clear();
         let reach = within.reach(self.thickness);
@@ -56,31 +56,36 @@ impl LayerContact {
         }
         let wrong = &self.wrong;
         let holds = |pair: &Pair| !pair.vertices.iter().any(|v| wrong.contains(v));
-        self.list
-            .pairs
-            .extend(self.doubtful.drain(..).filter(holds));
+        for pair in self.doubtful.drain(..).filter(holds) {
+            self.list.push(pair);
+        }
     }
 
     /// Takes features of two garments up if they can matter.
     fn take(&mut self, vertices: [u32; 4], features: Features, within: &Search) {
-        let Some(found) = within.candidate(vertices, features, self.thickness) else {
-            return;
-        };
+        let found = within.measure(vertices, features);
         let fabric = within.fabric;
         // The second feature starts at vertex 1 of a vertex and face, at 2 of two edges.
         let [first, _, third, _] = vertices;
         let garments = [first, third].map(|v| fabric.garment_of[v as usize]);
-        let [layer_a, layer_b] = garments.map(|g| fabric.garments[g as usize].layer);
         let friction = 0.5 * (fabric.cloth_of(first).friction + fabric.cloth_of(third).friction);
+        let [layer_a, layer_b] = garments.map(|g| fabric.garments[g as usize].layer);
         let turned = self.recovering && wrong_side(&found, within, garments, layer_a.cmp(&layer_b));
-        let pair = found.pair(self.thickness, friction, turned, within.now);
+        let pair = if turned {
+            within.rescue(&found, self.thickness, friction)
+        } else {
+            within.pair(&found, self.thickness, friction)
+        };
+        let Some(pair) = pair else {
+            return;
+        };
         if !self.recovering {
-            self.list.pairs.push(pair);
+            self.list.push(pair);
         } else if !turned {
             self.doubtful.push(pair);
         } else if features == Features::VertexFace {
             self.wrong.extend(vertices);
-            self.list.pairs.push(pair);
+            self.list.push(pair);
         }
     }
 }

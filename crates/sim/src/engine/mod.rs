@@ -179,7 +179,7 @@ impl Engine {
                 .then(|| Stretch::new(&fabric, settings.stretch_damping_s)),
             shear: has(Effect::Shear).then(|| Shear::new(garments, &fabric)),
             bending: has(Effect::Bending)
-                .then(|| Bending::new(&fabric, settings.bending_damping_s)),
+                .then(|| Bending::new(&fabric, &state, settings.bending_damping_s)),
             fabric,
             state,
             waistband,

@@ -27,19 +27,17 @@ impl SelfContact {
 
     /// Lists the pairs that can matter before the next search.
     pub fn search(&mut self, within: &Search) {
-        self.list.pairs.clear();
-        let (reach, pairs) = (within.reach(self.thickness), &mut self.list.pairs);
+        self.list.begin(within.now, within.substeps);
+        let (reach, list) = (within.reach(self.thickness), &mut self.list);
         let thickness = self.thickness;
         let mut take = |vertices, features| {
-            let Some(found) = within.candidate(vertices, features, thickness) else {
-                return;
-            };
+            let found = within.measure(vertices, features);
             let fabric = within.fabric;
             let rest = separation(features, vertices, &fabric.rest).d.length();
             let thickness = thickness.min(REST_SHARE * rest);
-            if within.matters(&found, thickness) {
-                let friction = fabric.cloth_of(vertices[0]).friction;
-                pairs.push(found.pair(thickness, friction, false, within.now));
+            let friction = fabric.cloth_of(vertices[0]).friction;
+            if let Some(pair) = within.pair(&found, thickness, friction) {
+                list.push(pair);
             }
         };
         for garment in &within.surfaces.garments {

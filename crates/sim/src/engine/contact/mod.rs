@@ -115,10 +115,11 @@ impl Contacts {
             self.search(fabric, state, moment, watch);
             report.searches += 1;
         }
-        for (effect, list) in self.lists_mut() {
+        let (tubes, lists) = self.tubes_and_lists();
+        for (effect, list) in lists {
             passes.count(effect);
             let start = watch.start();
-            list.look(state, now, push);
+            list.look(state, tubes, now, push);
             watch.stop(Part::Narrow(effect), start);
         }
         report.pairs = self.lists().map(|list| list.pairs.len()).sum();
@@ -153,6 +154,7 @@ impl Contacts {
     ) -> Outcome {
         let mut total = Outcome::default();
         let mut found: Vec<Pair> = Vec::new();
+        let mut certified = 0;
         self.looked_up.fill(DVec3::NAN);
         for round in 0.. {
             let start = watch.start();
@@ -162,12 +164,12 @@ impl Contacts {
                 self.body.as_ref().map(|body| &body.list),
             ];
             let listed = lists.into_iter().flatten().flat_map(|list| {
-                list.clean
-                    .iter()
-                    .map(|&number| &list.pairs[number as usize])
+                let pair = |&number: &u32| &list.pairs[number as usize];
+                list.clean.iter().map(pair)
             });
             let pairs: Vec<&Pair> = listed.chain(&found).collect();
-            let outcome = self.certificate.certify(&pairs, state);
+            let outcome = self.certificate.certify(&pairs, certified, state);
+            certified = if outcome.left == 0 { pairs.len() } else { 0 };
             total.failed += outcome.failed;
             total.left = outcome.left;
             watch.stop(Part::Certificate, start);
@@ -204,9 +206,7 @@ impl Contacts {
     fn strays(&mut self, state: &State) -> Vec<u32> {
         let mut strays = Vec::new();
         for i in 0..state.cloth {
-            if self.tubes.deviation(state, i) > self.tubes.radius[i]
-                && self.looked_up[i] != state.p[i]
-            {
+            if self.tubes.left(state, i) && self.looked_up[i] != state.p[i] {
                 self.looked_up[i] = state.p[i];
                 strays.push(i as u32);
             }
@@ -273,16 +273,23 @@ impl Contacts {
 
     /// The body comes last: it cannot give way, so it has the last word.
     fn lists_mut(&mut self) -> impl Iterator<Item = (Effect, &mut PairList)> {
+        self.tubes_and_lists().1
+    }
+
+    fn tubes_and_lists(&mut self) -> (&Tubes, impl Iterator<Item = (Effect, &mut PairList)>) {
         let own = self.own.as_mut().map(|own| &mut own.list);
         let layer = self.layer.as_mut().map(|layer| &mut layer.list);
         let body = self.body.as_mut().map(|body| &mut body.list);
-        [
+        let lists = [
             (Effect::SelfContact, own),
             (Effect::LayerContact, layer),
             (Effect::BodyContact, body),
-        ]
-        .into_iter()
-        .filter_map(|(effect, list)| Some((effect, list?)))
+        ];
+        let present = lists.into_iter();
+        (
+            &self.tubes,
+            present.filter_map(|(effect, list)| Some((effect, list?))),
+        )
     }
 }
 

@@ -10,6 +10,7 @@
 use drape_geometry::closest::point_triangle;
 use glam::DVec3;
 
+use super::tubes::SLACK_M;
 use crate::engine::state::State;
 
 /// Features of a pair.
@@ -21,6 +22,23 @@ pub(crate) enum Features {
     EdgeEdge,
 }
 
+/// Features nearer than this touch and have no normal of their own, m.
+pub(crate) const SAME_M: f64 = 1e-7;
+
+/// Substeps in which a pair with this gap cannot matter if it closes at this
+/// rate, m per substep. What vertices may be out of their tubes must not be
+/// slept through.
+pub(crate) fn idle(gap: f64, thickness: f64, rate: f64) -> u32 {
+    let room = gap - thickness.max(2.0 * SLACK_M);
+    if room <= 0.0 || room <= rate {
+        0
+    } else if rate <= 0.0 {
+        u32::MAX
+    } else {
+        (room / rate) as u32
+    }
+}
+
 /// Two features that may touch.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pair {
@@ -30,10 +48,8 @@ pub(crate) struct Pair {
     pub thickness: f32,
     /// Coulomb coefficient.
     pub friction: f32,
-    /// Upper bound of how fast the pair closes, m per substep.
-    pub rate: f32,
-    /// Substep at which the pair can first matter.
-    pub wake: u32,
+    /// Substeps from the search until the pair can first matter.
+    pub idle: u32,
     /// Normal at the last look.
     pub normal: DVec3,
 }
@@ -51,14 +67,21 @@ pub(crate) struct Separation {
 
 /// Measures features at `x`.
 pub(crate) fn separation(features: Features, vertices: [u32; 4], x: &[DVec3]) -> Separation {
-    let [a, b, c, d] = vertices.map(|v| x[v as usize]);
+    let [a, b, c, d] = vertices;
+    let at = |v: u32| x[v as usize];
+    separation_of(features, [at(a), at(b), at(c), at(d)])
+}
+
+/// Measures features with vertices at these places.
+#[inline]
+pub(crate) fn separation_of(features: Features, [a, b, c, d]: [DVec3; 4]) -> Separation {
     match features {
         Features::VertexFace => {
-            let on = point_triangle(a.to_array(), [b, c, d].map(|x| x.to_array()));
-            let [u, v, w] = on.barycentric;
+            let (u, v) = on_triangle(a, b, c, d);
+            let w = 1.0 - u - v;
             Separation {
-                weights: [1.0, -u, -v, -w],
-                d: a - DVec3::from_array(on.point),
+                weights: [1.0, -w, -u, -v],
+                d: (a - b) - u * (c - b) - v * (d - b),
                 interior: u > 1e-9 && v > 1e-9 && w > 1e-9,
             }
         }
@@ -71,6 +94,45 @@ pub(crate) fn separation(features: Features, vertices: [u32; 4], x: &[DVec3]) ->
             }
         }
     }
+}
+
+/// Barycentric coordinates, of the second and third corner, of the point of
+/// triangle (a, b, c) that is closest to `p` (Ericson, "Real-Time Collision
+/// Detection", 5.1.5). Needles go the slow way of `drape_geometry`, which
+/// measures what it returns.
+fn on_triangle(p: DVec3, a: DVec3, b: DVec3, c: DVec3) -> (f64, f64) {
+    let (ab, ac, ap) = (b - a, c - a, p - a);
+    let (bb, cc, bc) = (ab.length_squared(), ac.length_squared(), ab.dot(ac));
+    let (d1, d2) = (ab.dot(ap), ac.dot(ap));
+    // Squared area: of a triangle flatter than 1 in 1000 it is mostly rounding.
+    let area2 = bb * cc - bc * bc;
+    if area2 <= 1e-6 * bb * cc {
+        let triangle = [a, b, c].map(|x| x.to_array());
+        let [_, v, w] = point_triangle(p.to_array(), triangle).barycentric;
+        return (v, w);
+    }
+    if d1 <= 0.0 && d2 <= 0.0 {
+        return (0.0, 0.0);
+    }
+    let (d3, d4) = (d1 - bb, d2 - bc);
+    if d3 >= 0.0 && d4 <= d3 {
+        return (1.0, 0.0);
+    }
+    let (d5, d6) = (d1 - bc, d2 - cc);
+    if d6 >= 0.0 && d5 <= d6 {
+        return (0.0, 1.0);
+    }
+    if d1 >= 0.0 && d3 <= 0.0 && d1 * d4 - d3 * d2 <= 0.0 {
+        return (d1 / bb, 0.0);
+    }
+    if d2 >= 0.0 && d6 <= 0.0 && d5 * d2 - d1 * d6 <= 0.0 {
+        return (0.0, d2 / cc);
+    }
+    if d4 - d3 >= 0.0 && d5 - d6 >= 0.0 && d3 * d6 - d5 * d4 <= 0.0 {
+        let along = (d4 - d3) / ((d4 - d3) + (d5 - d6));
+        return (1.0 - along, along);
+    }
+    ((cc * d1 - bc * d2) / area2, (bb * d2 - bc * d1) / area2)
 }
 
 /// Places of the closest points on two segments (Ericson, "Real-Time Collision
@@ -115,8 +177,7 @@ impl Pair {
             features,
             thickness: 0.0,
             friction: 0.0,
-            rate: 0.0,
-            wake: 0,
+            idle: 0,
             normal,
         })
     }
@@ -125,7 +186,7 @@ impl Pair {
     pub fn look(&mut self, x: &[DVec3]) -> (Separation, f64) {
         let separation = separation(self.features, self.vertices, x);
         let distance = separation.d.length();
-        let (mut normal, mut gap) = if distance > 1e-7 {
+        let (mut normal, mut gap) = if distance > SAME_M {
             (separation.d / distance, distance)
         } else {
             // Touching: the common normal of both features, if they have one.

@@ -11,7 +11,7 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-use super::pair::{Features, Pair, Separation, separation};
+use super::pair::{Features, Pair, Separation, idle, separation};
 use super::tree::{MovingBox, Tree};
 use super::tubes::{SLACK_M, Tubes};
 use crate::engine::fabric::{Fabric, Piece};
@@ -83,32 +83,13 @@ impl Surface {
     }
 }
 
-/// A candidate that passed the distance test, before its owner has judged it.
+/// Two features, measured, before the effect that asked has judged them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Candidate {
     pub vertices: [u32; 4],
     pub features: Features,
     pub separation: Separation,
     pub distance: f64,
-    /// Bound of the closing speed, m per substep.
-    pub rate: f64,
-}
-
-impl Candidate {
-    /// The pair that keeps the candidate on the side where it is now, or,
-    /// `turned`, on the other.
-    pub fn pair(&self, thickness: f64, friction: f64, turned: bool, now: u32) -> Pair {
-        let normal = self.separation.d.normalize_or(DVec3::Z);
-        Pair {
-            vertices: self.vertices,
-            features: self.features,
-            thickness: thickness as f32,
-            friction: friction as f32,
-            rate: self.rate as f32,
-            wake: now,
-            normal: if turned { -normal } else { normal },
-        }
-    }
 }
 
 impl Surfaces {
@@ -179,8 +160,9 @@ impl Surfaces {
     pub fn refit(&mut self, fabric: &Fabric, state: &State, tubes: &Tubes, substeps: f64) {
         self.measure_normals(fabric, state);
         for (i, around) in self.boxes.iter_mut().enumerate() {
-            let end = state.x[i] + substeps * tubes.step[i];
-            *around = MovingBox::of(state.x[i], end, tubes.radius[i] * substeps);
+            let tube = &tubes.of[i];
+            let end = state.x[i] + substeps * tube.step;
+            *around = MovingBox::of(state.x[i], end, tube.radius * substeps);
         }
         for surface in self.garments.iter_mut().chain([&mut self.body]) {
             surface.refit(&self.boxes);
@@ -214,54 +196,54 @@ impl Search<'_> {
         thickness.max(2.0 * SLACK_M)
     }
 
-    /// Whether a candidate can come within `thickness` before the next search.
-    pub fn matters(&self, found: &Candidate, thickness: f64) -> bool {
-        found.distance <= self.reach(thickness) + found.rate * self.substeps
-    }
-
-    /// Measures two features; `None` if nothing in them can move or if they
-    /// cannot come within `thickness` before the next search.
-    pub fn candidate(
-        &self,
-        vertices: [u32; 4],
-        features: Features,
-        thickness: f64,
-    ) -> Option<Candidate> {
-        let Self { state, tubes, .. } = self;
-        let [a, b, c, d] = vertices.map(|v| v as usize);
-        if state.w[a] + state.w[b] + state.w[c] + state.w[d] <= 0.0 {
-            return None;
-        }
-        let step = |i: usize| tubes.step[i];
-        let radius = |i: usize| tubes.radius[i];
-        // Closing speed: difference of the features' mean steps, plus what their vertices deviate.
-        let rate = match features {
-            Features::VertexFace => {
-                let mean = (step(b) + step(c) + step(d)) / 3.0;
-                let spread = |i: usize| step(i).distance(mean);
-                step(a).distance(mean)
-                    + spread(b).max(spread(c)).max(spread(d))
-                    + radius(a)
-                    + radius(b).max(radius(c)).max(radius(d))
-            }
-            Features::EdgeEdge => {
-                let (first, second) = ((step(a) + step(b)) / 2.0, (step(c) + step(d)) / 2.0);
-                first.distance(second)
-                    + step(a).distance(first)
-                    + step(c).distance(second)
-                    + radius(a).max(radius(b))
-                    + radius(c).max(radius(d))
-            }
-        };
-        let separation = separation(features, vertices, &state.x);
-        let found = Candidate {
+    /// Measures two features.
+    pub fn measure(&self, vertices: [u32; 4], features: Features) -> Candidate {
+        let separation = separation(features, vertices, &self.state.x);
+        Candidate {
             vertices,
             features,
             separation,
             distance: separation.d.length(),
-            rate,
+        }
+    }
+
+    /// The pair that keeps a candidate on the side where it is; `None` if
+    /// nothing in it can move or if it cannot come within `thickness` before
+    /// the next search.
+    pub fn pair(&self, found: &Candidate, thickness: f64, friction: f64) -> Option<Pair> {
+        let normal = found.separation.d.normalize_or(DVec3::Z);
+        let idle = if found.distance > self.reach(thickness) {
+            let rate = self.tubes.closing(found.features, found.vertices, normal);
+            idle(found.distance, thickness, rate)
+        } else {
+            0
         };
-        self.matters(&found, thickness).then_some(found)
+        (f64::from(idle) < self.substeps && self.is_mobile(found)).then_some(Pair {
+            vertices: found.vertices,
+            features: found.features,
+            thickness: thickness as f32,
+            friction: friction as f32,
+            idle,
+            normal,
+        })
+    }
+
+    /// The pair that brings a candidate to the other side, from however deep;
+    /// `None` if nothing in it can move.
+    pub fn rescue(&self, found: &Candidate, thickness: f64, friction: f64) -> Option<Pair> {
+        self.is_mobile(found).then(|| Pair {
+            vertices: found.vertices,
+            features: found.features,
+            thickness: thickness as f32,
+            friction: friction as f32,
+            idle: 0,
+            normal: -found.separation.d.normalize_or(DVec3::Z),
+        })
+    }
+
+    fn is_mobile(&self, found: &Candidate) -> bool {
+        let free = |&v: &u32| self.state.w[v as usize] > 0.0;
+        found.vertices.iter().any(free)
     }
 }
 

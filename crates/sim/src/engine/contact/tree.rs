@@ -106,11 +106,15 @@ struct Limits([f32; COORDINATES]);
 
 impl Limits {
     /// Another box's low corner counts against this one's high corner and the reverse.
-    #[inline]
+    #[inline(always)]
     fn new(of: &MovingBox, reach: f32) -> Self {
-        Self(std::array::from_fn(|c| {
-            reach - of.0[(c + COORDINATES / 2) % COORDINATES]
-        }))
+        const HALF: usize = COORDINATES / 2;
+        let mut limits = [0.0; COORDINATES];
+        for c in 0..HALF {
+            limits[c] = reach - of.0[HALF + c];
+            limits[HALF + c] = reach - of.0[c];
+        }
+        Self(limits)
     }
 }
 
@@ -122,9 +126,13 @@ struct Node([[f32; WIDTH]; COORDINATES]);
 impl Node {
     const EMPTY: Self = Self([[f32::INFINITY; WIDTH]; COORDINATES]);
 
-    #[inline]
+    #[inline(always)]
     fn get(&self, lane: usize) -> MovingBox {
-        MovingBox(std::array::from_fn(|c| self.0[c][lane]))
+        let mut one = MovingBox::EMPTY;
+        for c in 0..COORDINATES {
+            one.0[c] = self.0[c][lane];
+        }
+        one
     }
 
     #[inline]
@@ -135,12 +143,16 @@ impl Node {
     }
 
     /// Around all boxes.
-    #[inline]
+    #[inline(always)]
     fn union(&self) -> MovingBox {
-        MovingBox(std::array::from_fn(|c| {
-            let least = |a: f32, b: &f32| if *b < a { *b } else { a };
-            self.0[c].iter().fold(f32::INFINITY, least)
-        }))
+        let mut union = MovingBox::EMPTY;
+        for c in 0..COORDINATES {
+            for lane in 0..WIDTH {
+                let one = self.0[c][lane];
+                union.0[c] = if one < union.0[c] { one } else { union.0[c] };
+            }
+        }
+        union
     }
 
     /// Bit of each box that can be met within the limits.
