@@ -151,6 +151,9 @@ fn between_segments([a0, a1]: [DVec3; 2], [b0, b1]: [DVec3; 2]) -> (f64, f64) {
             0.0
         }
     };
+    if vv <= 1e-18 {
+        return (place(-ur, uu), 0.0);
+    }
     let determinant = uu * vv - uv * uv;
     let s = if determinant > 1e-9 * uu * vv {
         ((uv * vr - ur * vv) / determinant).clamp(0.0, 1.0)
@@ -207,5 +210,83 @@ impl Pair {
             Features::EdgeEdge => (b - a).cross(d - c),
         };
         normal.try_normalize()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use drape_geometry::closest::segment_segment;
+
+    /// Points on, beside and beyond a face or edge: every region of the case analysis
+    /// and the borders between them.
+    fn grid() -> impl Iterator<Item = DVec3> {
+        let at = |i: i32| 0.25 * f64::from(i);
+        (-4..9).flat_map(move |i| {
+            (-4..9).flat_map(move |j| {
+                [-1e-3, 0.0, 1e-6, 2e-3].map(move |z| DVec3::new(at(i), at(j), z))
+            })
+        })
+    }
+
+    #[test]
+    fn vertex_and_face_are_as_far_apart_as_the_slow_way_says() {
+        let corners = [
+            [DVec3::ZERO, DVec3::X, DVec3::Y],
+            [DVec3::ZERO, DVec3::X, DVec3::new(1.5, 0.5, 0.0)],
+            [DVec3::ZERO, DVec3::X, DVec3::new(0.5, 2e-3, 0.0)],
+            [DVec3::ZERO, DVec3::X, DVec3::new(0.5, 1e-7, 0.0)],
+            [DVec3::ZERO, DVec3::X, DVec3::X],
+        ];
+        for [b, c, d] in corners {
+            for a in grid() {
+                let found = separation_of(Features::VertexFace, [a, b, c, d]);
+                let slow = point_triangle(a.to_array(), [b, c, d].map(|x| x.to_array()));
+                let distance = slow.distance2.sqrt();
+                let error = (found.d.length() - distance).abs();
+                assert!(error < 1e-9, "{a} {b} {c} {d}: {error}");
+                let [one, u, v, w] = found.weights;
+                assert!((one + u + v + w).abs() < 1e-12);
+                let sum = one * a + u * b + v * c + w * d;
+                assert!(sum.distance(found.d) < 1e-12);
+            }
+        }
+    }
+
+    #[test]
+    fn edges_are_as_far_apart_as_the_slow_way_says() {
+        let first = [DVec3::ZERO, DVec3::X];
+        for along in [
+            DVec3::Y,
+            DVec3::X,
+            DVec3::new(1.0, 1e-3, 0.0),
+            DVec3::new(0.3, -0.4, 0.1),
+            DVec3::ZERO,
+        ] {
+            for c in grid() {
+                let d = c + along;
+                let found = separation_of(Features::EdgeEdge, [first[0], first[1], c, d]);
+                let slow =
+                    segment_segment(first.map(|x| x.to_array()), [c, d].map(|x| x.to_array()));
+                let error = (found.d.length() - slow.distance2.sqrt()).abs();
+                assert!(error < 1e-9, "{c} {d}: {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_pair_sleeps_only_while_it_cannot_come_within_its_thickness() {
+        let thickness = 0.004;
+        for step in 0..2000 {
+            let gap = 0.003 + 1e-5 * f64::from(step);
+            for rate in [-1.0, 0.0, 1e-5, 4e-4, 1e-3, 0.1] {
+                let asleep = idle(gap, thickness, rate);
+                if asleep > 0 && rate > 0.0 {
+                    let nearest = gap - f64::from(asleep) * rate;
+                    assert!(nearest >= thickness - 1e-12, "{gap} {rate}: {nearest}");
+                }
+                assert!(asleep == 0 || gap > thickness);
+            }
+        }
     }
 }
