@@ -233,7 +233,8 @@ mod tests {
     #[test]
     fn intervals_that_would_fade_into_each_other_are_one() {
         assert_eq!(intervals(&[]), []);
-        assert_eq!(intervals(&[3, 4, 7, 8 + 2 * FADE]), [3..9 + 2 * FADE]);
+        let one = 3..9 + 2 * FADE;
+        assert_eq!(intervals(&[3, 4, 7, 8 + 2 * FADE]), [one]);
         assert_eq!(
             intervals(&[3, 5 + 2 * FADE]),
             [3..4, 5 + 2 * FADE..6 + 2 * FADE]
