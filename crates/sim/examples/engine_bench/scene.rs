@@ -69,6 +69,7 @@ impl Scene {
                 ease_m,
                 sleeve,
                 flare,
+                panels: 2,
             };
             (parameters, MATERIAL)
         };
@@ -136,7 +137,11 @@ fn fitted(
     vertices: usize,
 ) -> Result<Outfit> {
     let made = |edge_m: f64| {
-        let request = OutfitRequest { garments, edge_m };
+        let request = OutfitRequest {
+            garments,
+            edge_m,
+            trimmed_layers: false,
+        };
         Outfit::fit(body, shaped, &request)
     };
     let count = |outfit: &Outfit| -> usize { outfit.garments.iter().map(|g| g.rest.len()).sum() };
