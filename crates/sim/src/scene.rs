@@ -5,12 +5,14 @@
 //! settings.
 
 mod effects;
+mod in_blender;
 mod ranges;
 mod recipe;
 mod simulate;
 mod wind;
 
 pub use effects::active_effects;
+pub use in_blender::simulate_in_blender;
 pub use ranges::SceneRanges;
 pub use recipe::{Recipe, RecipeGarment};
 pub use simulate::{Progress, simulate};

@@ -7,13 +7,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use clap::Parser;
+use clap::{Parser, ValueEnum};
 use drape_dataset::sequence::{Frame, SequenceHeader};
 use drape_dataset::splits::{DatasetIndex, INDEX_FILE, Split};
 use drape_dataset::{SequenceReader, SequenceWriter};
 use drape_sim::SimError;
+use drape_sim::blender::{Blender, BlenderSettings};
 use drape_sim::engine::EngineSettings;
-use drape_sim::scene::{Recipe, SceneRanges, simulate};
+use drape_sim::scene::{Recipe, SceneRanges, simulate, simulate_in_blender};
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 use serde::Deserialize;
@@ -48,12 +49,23 @@ struct Arguments {
     /// Seed of everything random
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
+    /// What simulates: this program's engine, or Blender, which takes about twenty times as long
+    /// and needs `cargo xtask setup blender` once
+    #[arg(long, value_name = "NAME", value_enum, default_value_t = Simulator::Drape)]
+    engine: Simulator,
     /// Sequences simulated at the same time; 0 takes all processor cores
     #[arg(long, value_name = "N", default_value_t = 0)]
     threads: usize,
     /// Print the configuration that would be used, and stop
     #[arg(long)]
     print_config: bool,
+}
+
+/// What moves the garments.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Simulator {
+    Drape,
+    Blender,
 }
 
 /// Configuration of a data set.
@@ -71,6 +83,8 @@ struct Config {
     attempts: usize,
     scene: SceneRanges,
     engine: EngineSettings,
+    /// For `--engine blender`.
+    blender: BlenderSettings,
 }
 
 impl Default for Config {
@@ -83,6 +97,7 @@ impl Default for Config {
             attempts: 4,
             scene: SceneRanges::default(),
             engine: EngineSettings::default(),
+            blender: BlenderSettings::default(),
         }
     }
 }
@@ -103,6 +118,11 @@ fn run(arguments: &Arguments) -> Result<ExitCode> {
         print!("{}", toml::to_string(&config)?);
         return Ok(ExitCode::SUCCESS);
     }
+    let blender = match arguments.engine {
+        Simulator::Drape => None,
+        Simulator::Blender => Some(Blender::find()?),
+    };
+    let blender = blender.as_ref();
     std::fs::create_dir_all(&arguments.out)
         .with_context(|| format!("cannot make folder {}", arguments.out.display()))?;
     static STOP: AtomicBool = AtomicBool::new(false);
@@ -124,7 +144,7 @@ fn run(arguments: &Arguments) -> Result<ExitCode> {
     let outcomes: Vec<Outcome> = pool.install(|| {
         jobs.par_iter()
             .map(|job| {
-                let outcome = make(job, &config, &arguments.out, &bar, &STOP);
+                let outcome = make(job, &config, blender, &arguments.out, &bar, &STOP);
                 if let Outcome::Failed(reason) = &outcome {
                     bar.suspend(|| eprintln!("{}: {reason}", job.name));
                 }
@@ -181,6 +201,7 @@ fn resolve(arguments: &Arguments) -> Result<Config> {
     );
     config.scene.validate()?;
     config.engine.validate()?;
+    config.blender.validate()?;
     Ok(config)
 }
 
@@ -221,6 +242,7 @@ enum Outcome {
 fn make(
     job: &Job,
     config: &Config,
+    blender: Option<&Blender>,
     folder: &Path,
     bar: &ProgressBar,
     stop: &AtomicBool,
@@ -242,10 +264,14 @@ fn make(
             &config.engine,
         );
         recipe.name.clone_from(&job.name);
-        recipe
+        match blender {
+            None => recipe,
+            Some(_) => recipe.for_blender(&config.blender),
+        }
     };
+    let version = blender.map_or(env!("CARGO_PKG_VERSION"), Blender::version);
     for attempt in 0..config.attempts {
-        if let Some(outcome) = finished(&path, &recipe(attempt), attempt + 1) {
+        if let Some(outcome) = finished(&path, &recipe(attempt), version, attempt + 1) {
             bar.inc(all);
             return outcome;
         }
@@ -254,7 +280,8 @@ fn make(
     for attempt in 0..config.attempts {
         let started = Instant::now();
         let mut counted = 0;
-        let result = simulate(&recipe(attempt), None, |_| {
+        let recipe = recipe(attempt);
+        let each = |_| {
             counted += 1;
             bar.inc(1);
             if stop.load(Ordering::Relaxed) {
@@ -262,7 +289,11 @@ fn make(
             } else {
                 ControlFlow::Continue(())
             }
-        });
+        };
+        let result = match blender {
+            None => simulate(&recipe, None, each),
+            Some(blender) => simulate_in_blender(&recipe, blender, each),
+        };
         match result {
             Ok((header, frames)) => {
                 if let Err(error) = write(&path, &header, &frames) {
@@ -282,14 +313,14 @@ fn make(
 }
 
 /// A whole file with this recipe, if there is one.
-fn finished(path: &Path, recipe: &Recipe, attempts: usize) -> Option<Outcome> {
+fn finished(path: &Path, recipe: &Recipe, version: &str, attempts: usize) -> Option<Outcome> {
     if !path.is_file() {
         return None;
     }
     // A damaged or different file is made anew.
     let reader = SequenceReader::open(path).ok()?;
     let same = reader.header().scene.recipe == recipe.to_json()
-        && reader.header().scene.engine_version == env!("CARGO_PKG_VERSION")
+        && reader.header().scene.engine_version == version
         && reader.frame_count() == recipe.frames;
     if !same {
         return None;

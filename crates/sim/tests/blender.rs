@@ -1,0 +1,253 @@
+//! Sequences made with Blender. What needs Blender itself prints why it does
+//! not run where there is none; the rest runs against a stand-in on Unix.
+
+use std::ops::ControlFlow;
+
+use drape_dataset::registry::{Effect, GarmentKind};
+use drape_dataset::sequence::{Frame, SequenceHeader};
+use drape_sim::SimError;
+use drape_sim::blender::{Blender, BlenderSettings};
+use drape_sim::motion::LeadIn;
+use drape_sim::scene::{Progress, Recipe, SceneRanges, simulate, simulate_in_blender};
+
+/// Pants and skirt, coarse and short, in wind.
+fn recipe() -> Recipe {
+    let ranges = SceneRanges {
+        outfits: vec![vec![GarmentKind::Pants, GarmentKind::Skirt]],
+        outfit_vertices: 500.0,
+        calm_share: 0.0,
+        lead_in: LeadIn { still: 2, ease: 3 },
+        ..SceneRanges::default()
+    };
+    let settings = BlenderSettings {
+        quality: 5,
+        ..BlenderSettings::default()
+    };
+    ranges
+        .sample("tiny", 0, 3, 3, &Default::default())
+        .for_blender(&settings)
+}
+
+fn go_on(_: Progress) -> ControlFlow<()> {
+    ControlFlow::Continue(())
+}
+
+/// Largest difference of two lists of positions.
+fn apart<'a>(pairs: impl Iterator<Item = (&'a [f32; 3], &'a [f32; 3])>) -> f32 {
+    pairs
+        .flat_map(|(a, b)| (0..3).map(|k| (a[k] - b[k]).abs()))
+        .fold(0.0, f32::max)
+}
+
+#[test]
+fn where_blender_is_installed_the_same_scene_is_simulated_by_both_engines() {
+    let blender = match Blender::find() {
+        Ok(blender) => blender,
+        Err(reason) => return eprintln!("not tested: {reason}"),
+    };
+    let recipe = recipe();
+    let (header, frames) = simulate_in_blender(&recipe, &blender, go_on).unwrap();
+    let (ours, our_frames) = simulate(&recipe, None, go_on).unwrap();
+    assert_eq!(header.scene.engine, "blender");
+    assert_eq!(header.scene.engine_version, blender.version());
+    assert!(!header.scene.effects.contains(&Effect::Shear));
+    assert_eq!(header.scene.gravity, recipe.gravity);
+    assert_eq!(Recipe::from_json(&header.scene.recipe).unwrap(), recipe);
+    assert_eq!(frames.len(), recipe.frames);
+    assert_eq!(header.body, ours.body);
+    header.check().unwrap();
+    for (theirs, ours) in frames.iter().zip(&our_frames) {
+        theirs.check(&header).unwrap();
+        assert_eq!((&theirs.body, theirs.root), (&ours.body, ours.root));
+        assert_eq!(theirs.wind, ours.wind);
+        assert!(theirs.intersections.is_some());
+    }
+    waist_bands_coincide(&header, &frames, &our_frames);
+    // Cloth that hung and was blown at for eight frames is not at rest.
+    let last = frames.last().unwrap();
+    for (garment, positions) in header.garments.iter().zip(&last.garments) {
+        let moved = apart(garment.rest.iter().zip(positions));
+        assert!((0.01..10.0).contains(&moved), "{}: {moved}", garment.name);
+    }
+}
+
+/// Vertices that follow the body are in the same places with both engines.
+fn waist_bands_coincide(header: &SequenceHeader, theirs: &[Frame], ours: &[Frame]) {
+    for (number, garment) in header.garments.iter().enumerate() {
+        let highest = (0..garment.rest.len())
+            .max_by(|&a, &b| garment.rest[a][2].total_cmp(&garment.rest[b][2]))
+            .unwrap();
+        for (a, b) in theirs.iter().zip(ours) {
+            let pair = (&a.garments[number][highest], &b.garments[number][highest]);
+            let off = apart([pair].into_iter());
+            assert!(off < 1e-3, "{}: {off} units", garment.name);
+        }
+    }
+}
+
+#[test]
+fn a_recipe_without_blenders_settings_is_refused() {
+    let Ok(blender) = Blender::find() else {
+        return eprintln!("not tested: no Blender here");
+    };
+    let mut recipe = recipe();
+    recipe.blender = None;
+    let error = simulate_in_blender(&recipe, &blender, go_on).unwrap_err();
+    assert!(error.to_string().contains("recipe.blender"), "{error}");
+}
+
+/// A shell script in Blender's place.
+#[cfg(unix)]
+mod stand_in {
+    use std::fs;
+    use std::os::unix::fs::PermissionsExt;
+    use std::process::{Command, Output};
+
+    use super::*;
+    use tempfile::TempDir;
+
+    /// Answers the question for its version, and runs `body` as the simulation;
+    /// `$2` is the folder with its files.
+    fn blender(body: &str) -> (TempDir, std::path::PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("python");
+        let script = format!(
+            "#!/bin/sh\nif [ \"$1\" = -c ]; then echo 'bpy 9.9 stand-in'; exit 0; fi\n{body}\n"
+        );
+        fs::write(&path, script).unwrap();
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).unwrap();
+        (folder, path)
+    }
+
+    /// Leaves the garments at rest for so many frames.
+    const STILL: &str = "echo chatter
+        for n in 1 2 3 4 5 6 7 8; do
+            cp \"$2/cloth_rest.f32\" \"$2/frame_0000$n.f32\"; echo \"drape-frame $n\"
+        done";
+
+    fn run(body: &str) -> Result<(SequenceHeader, Vec<Frame>), SimError> {
+        let (_folder, path) = blender(body);
+        simulate_in_blender(&recipe(), &Blender::with_python(path).unwrap(), go_on)
+    }
+
+    #[test]
+    fn what_blender_writes_is_what_is_recorded() {
+        let (header, frames) = run(STILL).unwrap();
+        assert_eq!(header.scene.engine_version, "9.9 stand-in");
+        for frame in &frames {
+            for (garment, positions) in header.garments.iter().zip(&frame.garments) {
+                assert_eq!(&garment.rest, positions);
+            }
+        }
+    }
+
+    #[test]
+    fn a_blender_that_dies_is_reported_with_its_last_words() {
+        let dies = STILL.replace("3 4 5 6 7 8", "") + "\necho 'out of cloth' >&2; exit 7";
+        let message = run(&dies).unwrap_err().to_string();
+        assert!(message.contains("after frame 2"), "{message}");
+        assert!(message.contains("out of cloth"), "{message}");
+        assert!(message.contains('7'), "{message}");
+    }
+
+    #[test]
+    fn frames_that_are_cut_short_or_not_numbers_are_refused_by_frame() {
+        let short = "echo short > \"$2/frame_00001.f32\"; echo drape-frame 1";
+        let message = run(short).unwrap_err().to_string();
+        assert!(message.contains("frame 1: expected"), "{message}");
+        let missing = run("echo drape-frame 1").unwrap_err().to_string();
+        assert!(missing.contains("cannot read frame 1"), "{missing}");
+        let nan = STILL.replace(
+            "cp \"$2/cloth_rest.f32\" \"$2/frame_0000$n.f32\"",
+            "tr '\\000-\\377' '\\377' < \"$2/cloth_rest.f32\" > \"$2/frame_0000$n.f32\"",
+        );
+        let message = run(&nan).unwrap_err().to_string();
+        assert!(message.contains("finite"), "{message}");
+    }
+
+    #[test]
+    fn stopping_ends_blender_and_its_folder() {
+        let (folder, path) =
+            blender("echo $$ $2 > \"${0%/*}/pid\"; echo drape-frame 0; exec sleep 600");
+        let still = STILL.replace("2 3 4 5 6 7 8", "");
+        let text = fs::read_to_string(&path).unwrap();
+        fs::write(&path, text.replace("echo drape-frame 0", &still)).unwrap();
+        let blender = Blender::with_python(path).unwrap();
+        let stop = |_: Progress| ControlFlow::Break(());
+        let error = simulate_in_blender(&recipe(), &blender, stop).unwrap_err();
+        assert!(matches!(error, SimError::Stopped { frame: 1 }), "{error}");
+        let told = fs::read_to_string(folder.path().join("pid")).unwrap();
+        let (pid, work) = told.trim().split_once(' ').unwrap();
+        let alive = Command::new("kill").args(["-0", pid]).output().unwrap();
+        assert!(!alive.status.success(), "process {pid} is still there");
+        assert!(
+            !std::path::Path::new(work).exists(),
+            "{work} is still there"
+        );
+    }
+
+    const TINY: &str = "frames = 3
+        attempts = 1
+        [scene]
+        outfits = [[\"pants\", \"skirt\"]]
+        outfit_vertices = 500.0
+        [scene.lead_in]
+        still = 2
+        ease = 3
+        ";
+
+    fn generate(python: &std::path::Path, out: &std::path::Path) -> Output {
+        fs::write(out.with_extension("toml"), TINY).unwrap();
+        Command::new(env!("CARGO_BIN_EXE_drape-generate"))
+            .env("DRAPE_BLENDER_PYTHON", python)
+            .args(["--engine", "blender", "--sequences", "2", "--threads", "1"])
+            .arg("--config")
+            .arg(out.with_extension("toml"))
+            .arg("--out")
+            .arg(out)
+            .output()
+            .unwrap()
+    }
+
+    fn printed(output: &Output) -> String {
+        let text = [&output.stdout[..], &output.stderr[..]].concat();
+        String::from_utf8_lossy(&text).into_owned()
+    }
+
+    #[test]
+    fn generate_reports_what_fails_keeps_the_rest_and_goes_on_where_it_was() {
+        // The second start fails, the others do not.
+        let once = "count=\"${0%/*}/count\"; echo x >> \"$count\"
+            if [ $(wc -l < \"$count\") = 2 ]; then echo 'a bad day' >&2; exit 1; fi\n";
+        let (folder, path) = blender(&format!("{once}{STILL}"));
+        let out = folder.path().join("data");
+        let first = generate(&path, &out);
+        let said = printed(&first);
+        assert!(!first.status.success(), "{said}");
+        assert!(
+            said.contains("a bad day") && said.contains("1 of 2"),
+            "{said}"
+        );
+        let again = generate(&path, &out);
+        let said = printed(&again);
+        assert!(again.status.success(), "{said}");
+        assert!(said.contains("2 of 2 (1 were there already"), "{said}");
+        let starts = fs::read_to_string(folder.path().join("count")).unwrap();
+        assert_eq!(
+            starts.lines().count(),
+            3,
+            "a finished sequence is not made again"
+        );
+    }
+
+    #[test]
+    fn generate_without_blender_says_how_to_get_it_and_makes_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("data");
+        let output = generate(&folder.path().join("no-python"), &out);
+        assert!(!output.status.success());
+        let said = printed(&output);
+        assert!(said.contains("cargo xtask setup blender"), "{said}");
+        assert!(!out.exists());
+    }
+}
