@@ -1,5 +1,7 @@
 //! The crate's one error type: what, where, expected, found, what to do.
 
+use drape_dataset::sequence::Intersections;
+
 /// Result of this crate's functions.
 pub type Result<T, E = SimError> = std::result::Result<T, E>;
 
@@ -45,6 +47,21 @@ pub enum SimError {
         vertex: usize,
         /// The coordinates.
         found: [f32; 3],
+    },
+    /// Too few frames are free of intersections.
+    #[error(
+        "frame {frame}: {} hits between garments, {} within garments, {} with the body; expected the first {needed} of {of} frames clean",
+        found.between_garments, found.within_garments, found.with_body
+    )]
+    NotClean {
+        /// First recorded frame that is not clean.
+        frame: usize,
+        /// What was counted in it.
+        found: Intersections,
+        /// Recorded frames.
+        of: usize,
+        /// How many of them have to be clean.
+        needed: usize,
     },
     /// There is no Blender to simulate with.
     #[error(

@@ -4,6 +4,7 @@
 //! as JSON in the sequence it made, so that the engine can repeat it with other
 //! settings.
 
+mod clean;
 mod effects;
 mod in_blender;
 mod ranges;

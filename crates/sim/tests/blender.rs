@@ -116,6 +116,14 @@ mod stand_in {
         );
         fs::write(&path, script).unwrap();
         fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).unwrap();
+        // A process that another test starts just now may hold the file open until it is itself.
+        let busy = || {
+            Command::new(&path)
+                .arg("-c")
+                .output()
+                .is_err_and(|error| error.kind() == std::io::ErrorKind::ExecutableFileBusy)
+        };
+        while busy() {}
         (folder, path)
     }
 
@@ -124,6 +132,21 @@ mod stand_in {
         for n in 1 2 3 4 5 6 7 8; do
             cp \"$2/cloth_rest.f32\" \"$2/frame_0000$n.f32\"; echo \"drape-frame $n\"
         done";
+
+    /// [`STILL`] with another way to make a frame of the garments at rest.
+    fn written_by(filter: &str) -> String {
+        STILL.replace(
+            "cp \"$2/cloth_rest.f32\" \"$2/frame_0000$n.f32\"",
+            &format!("{filter} > \"$2/frame_0000$n.f32\""),
+        )
+    }
+
+    /// Every byte of the garments at rest is this one.
+    fn all_bytes(octal: &str) -> String {
+        written_by(&format!(
+            "tr '\\000-\\377' '\\{octal}' < \"$2/cloth_rest.f32\""
+        ))
+    }
 
     fn run(body: &str) -> Result<(SequenceHeader, Vec<Frame>), SimError> {
         let (_folder, path) = blender(body);
@@ -157,21 +180,16 @@ mod stand_in {
         assert!(message.contains("frame 1: expected"), "{message}");
         let missing = run("echo drape-frame 1").unwrap_err().to_string();
         assert!(missing.contains("cannot read frame 1"), "{missing}");
-        let nan = STILL.replace(
-            "cp \"$2/cloth_rest.f32\" \"$2/frame_0000$n.f32\"",
-            "tr '\\000-\\377' '\\377' < \"$2/cloth_rest.f32\" > \"$2/frame_0000$n.f32\"",
-        );
+        let nan = all_bytes("377");
         let message = run(&nan).unwrap_err().to_string();
         assert!(message.contains("finite"), "{message}");
     }
 
     #[test]
     fn stopping_ends_blender_and_its_folder() {
-        let (folder, path) =
-            blender("echo $$ $2 > \"${0%/*}/pid\"; echo drape-frame 0; exec sleep 600");
-        let still = STILL.replace("2 3 4 5 6 7 8", "");
-        let text = fs::read_to_string(&path).unwrap();
-        fs::write(&path, text.replace("echo drape-frame 0", &still)).unwrap();
+        let one = STILL.replace("2 3 4 5 6 7 8", "");
+        let body = format!("echo $$ $2 > \"${{0%/*}}/pid\"\n{one}\nexec sleep 600");
+        let (folder, path) = blender(&body);
         let blender = Blender::with_python(path).unwrap();
         let stop = |_: Progress| ControlFlow::Break(());
         let error = simulate_in_blender(&recipe(), &blender, stop).unwrap_err();
@@ -183,6 +201,20 @@ mod stand_in {
         assert!(
             !std::path::Path::new(work).exists(),
             "{work} is still there"
+        );
+    }
+
+    #[test]
+    fn frames_with_intersections_are_not_kept_in_silence() {
+        // The skirt's last vertices are put where the pants' first ones are.
+        let dirty = written_by(
+            "size=$(wc -c < \"$2/cloth_rest.f32\"); third=$((size / 36 * 12)); rest=$((size - third))
+            (head -c $rest \"$2/cloth_rest.f32\"; head -c $third \"$2/cloth_rest.f32\")",
+        );
+        let error = run(&dirty).unwrap_err();
+        assert!(
+            matches!(error, SimError::NotClean { frame: 0, .. }),
+            "{error}"
         );
     }
 
@@ -219,7 +251,9 @@ mod stand_in {
         // The second start fails, the others do not.
         let once = "count=\"${0%/*}/count\"; echo x >> \"$count\"
             if [ $(wc -l < \"$count\") = 2 ]; then echo 'a bad day' >&2; exit 1; fi\n";
-        let (folder, path) = blender(&format!("{once}{STILL}"));
+        // All vertices in one place, 48.6 units along each axis: nothing crosses.
+        let far = all_bytes("102");
+        let (folder, path) = blender(&format!("{once}{far}"));
         let out = folder.path().join("data");
         let first = generate(&path, &out);
         let said = printed(&first);
