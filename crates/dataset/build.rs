@@ -1,6 +1,6 @@
-//! Compiles `data-spec/drape.proto`, the format's single schema, without a
-//! system `protoc`: Rust types for the crate, and the descriptor set that every
-//! file carries in its MCAP schema records so that other tools can read it.
+//! Compiles the format's schemas in `data-spec/` without a system `protoc`: Rust
+//! types for the crate, and the descriptor sets that files carry in their MCAP
+//! schema records so that other tools can read them.
 
 use std::error::Error;
 use std::path::PathBuf;
@@ -8,21 +8,28 @@ use std::{env, fs};
 
 use protox::prost::Message;
 
-/// Where the schema lives, seen from this crate.
-const SPEC: &str = "../../data-spec";
+/// Where the schemas live, seen from this crate: links to `data-spec/`, so that a
+/// package of the crate holds them.
+const SPEC: &str = "proto";
+/// A descriptor set for each schema, with all that the schema imports.
+const SCHEMAS: [&str; 2] = ["drape", "quantised"];
 
 fn main() -> Result<(), Box<dyn Error>> {
-    println!("cargo::rerun-if-changed={SPEC}/drape.proto");
     let spec = PathBuf::from(env::var("CARGO_MANIFEST_DIR")?).join(SPEC);
-    let descriptors = protox::Compiler::new([&spec])?
-        .include_imports(true)
-        .open_file("drape.proto")?
-        .file_descriptor_set();
     let out = PathBuf::from(env::var("OUT_DIR")?);
-    fs::write(out.join("drape.binpb"), descriptors.encode_to_vec())?;
+    let mut all = protox::Compiler::new([&spec])?;
+    for schema in SCHEMAS {
+        println!("cargo::rerun-if-changed={SPEC}/{schema}.proto");
+        let file = format!("{schema}.proto");
+        all.include_imports(true).open_file(&file)?;
+        let mut one = protox::Compiler::new([&spec])?;
+        let descriptors = one.include_imports(true).open_file(&file)?;
+        let descriptors = descriptors.file_descriptor_set().encode_to_vec();
+        fs::write(out.join(schema).with_extension("binpb"), descriptors)?;
+    }
     // `Bytes` fields borrow the chunk they are decoded from: positions are copied once.
     prost_build::Config::new()
         .bytes(["."])
-        .compile_fds(descriptors)?;
+        .compile_fds(all.file_descriptor_set())?;
     Ok(())
 }

@@ -40,7 +40,7 @@ fn a_distant_body_equals_no_body() {
     assert_eq!(b.trained.losses.body_collision, 0.0);
     assert!(a.trained.gradients == b.trained.gradients);
     for run in [&a, &b] {
-        let graph = &run.trained.prediction.graph;
+        let graph = run.trained.evaluation.graph();
         assert!(
             graph.body_rows.is_empty() && graph.body_tokens == 0,
             "nothing of the body is encoded"
@@ -78,7 +78,7 @@ fn the_reach_is_where_the_body_begins_to_count() {
             true,
         )
         .unwrap();
-        result.prediction.graph.body_rows.len()
+        result.evaluation.graph().body_rows.len()
     };
     assert!(rows(0.4) > 0);
     assert_eq!(rows(0.05), 0);

@@ -26,14 +26,8 @@ fn a_scene_at_rest_has_unit_scale_and_runs() {
     let run = super::run(&sample, &statistics);
     let target = sample.reference.last().unwrap();
     let mut expected = 0.0;
-    let acceleration: Vec<f32> = run
-        .trained
-        .prediction
-        .acceleration
-        .flatten_all()
-        .unwrap()
-        .to_vec1()
-        .unwrap();
+    let mut acceleration = Vec::new();
+    run.trained.evaluation.accelerations(&mut acceleration);
     for ((state, target), a) in run
         .rolled
         .iter()

@@ -53,7 +53,8 @@ fn a_patch_alone_still_sees_itself_wind_and_gravity() {
         ..SceneConfig::default()
     });
     let (sample, statistics) = scene.sample(4);
-    let graph = super::run(&sample, &statistics).trained.prediction.graph;
+    let run = super::run(&sample, &statistics);
+    let graph = run.trained.evaluation.graph();
     for patch in 0..sample.outfit.patches.count() {
         assert!(graph.edges.mesh.row(patch).contains(&(patch as u32)));
         assert_eq!(graph.edges.body.row(patch), [0, 1], "wind and gravity");

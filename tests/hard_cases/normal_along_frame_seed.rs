@@ -67,7 +67,8 @@ fn the_released_axis_degenerates_as_published() {
 fn a_body_with_such_normals_anchors_by_rotations() {
     // The capsule's side 0 faces +x, side 6 −x.
     let (sample, statistics) = Scene::new(SceneConfig::default()).sample(4);
-    let graph = super::run(&sample, &statistics).trained.prediction.graph;
+    let run = super::run(&sample, &statistics);
+    let graph = run.trained.evaluation.graph();
     let anchored: Vec<_> = graph
         .vertex_anchors
         .iter()

@@ -308,7 +308,8 @@ pub fn compare(dir: &Path, prefix: &str) -> Result<Value> {
     let result = gradient(&sample, &state)?;
     let forward = Tensors::read(dir, &format!("{prefix}_forward_f32_tiesafe"))?;
     let reference = part(&forward.values("pred")?, 9, 6, 9);
-    let prediction = relative(&all_f64(&result.prediction.acceleration)?, &reference);
+    let found = result.evaluation.prediction()?.acceleration;
+    let prediction = relative(&all_f64(&found)?, &reference);
     let mut blocks = Vec::new();
     for index in 0..case.config.blocks {
         let reference =
@@ -485,7 +486,8 @@ fn multistep(
             &file.values(&format!("{base}grad.{name}"))?,
         ));
         // The vertex branch alone: state and acceleration relative to the own patch.
-        let graph = &result.prediction.graph;
+        let prediction = result.evaluation.prediction()?;
+        let graph = &prediction.graph;
         let own_states: Vec<StatePair> = state
             .iter()
             .zip(&graph.own_patch)
@@ -493,7 +495,7 @@ fn multistep(
                 std::array::from_fn(|i| row[i] - graph.patch_states[own as usize][i])
             })
             .collect();
-        let acceleration: Vec<f32> = result.prediction.relative.flatten_all()?.to_vec1()?;
+        let acceleration: Vec<f32> = prediction.relative.flatten_all()?.to_vec1()?;
         let next = advance(&own_states, &acceleration);
         let found: Vec<f64> = next
             .iter()

@@ -18,6 +18,8 @@ use drape_dataset::statistics::{Statistics, StatisticsBuilder};
 const AROUND: usize = 12;
 const RINGS: usize = 9;
 const HEIGHT: f64 = 3.0;
+/// Quads between the rings of a tube, and between those of the body's cylinder.
+const BODY_QUADS: usize = 6;
 /// Side of a patch in metres; one UV unit is one metre.
 pub const PATCH_SIZE_M: f32 = 0.08;
 
@@ -32,8 +34,22 @@ pub struct SceneConfig {
     pub wind: bool,
     /// Factor of all motion; 0: nothing moves.
     pub motion: f64,
+    /// How many times as long as usual garments and body are; everything is as dense as usual.
+    pub length: usize,
     /// Where the body stands relative to the garments, in units.
     pub body_offset: [f32; 3],
+}
+
+impl SceneConfig {
+    /// Rings of a tube, and its height.
+    fn tube(&self) -> (usize, f64) {
+        ((RINGS - 1) * self.length + 1, HEIGHT * self.length as f64)
+    }
+
+    /// Rings of the body: three of each half sphere, the others along the cylinder.
+    fn body_rings(&self) -> usize {
+        6 + BODY_QUADS * self.length + 1
+    }
 }
 
 impl Default for SceneConfig {
@@ -43,6 +59,7 @@ impl Default for SceneConfig {
             body: true,
             wind: true,
             motion: 1.0,
+            length: 1,
             body_offset: [0.0; 3],
         }
     }
@@ -57,9 +74,9 @@ pub struct Scene {
 }
 
 /// Triangles of a tube of quads, and of its UV map, whose seam has its own column.
-fn tube_faces() -> (Vec<[u32; 3]>, Vec<[u32; 3]>) {
+fn tube_faces(rings: usize) -> (Vec<[u32; 3]>, Vec<[u32; 3]>) {
     let (mut faces, mut uv_faces) = (Vec::new(), Vec::new());
-    for ring in 0..RINGS - 1 {
+    for ring in 0..rings - 1 {
         for side in 0..AROUND {
             let corner = |up: usize, right: usize, columns: usize| {
                 ((ring + up) * columns + (side + right) % columns) as u32
@@ -74,14 +91,14 @@ fn tube_faces() -> (Vec<[u32; 3]>, Vec<[u32; 3]>) {
     (faces, uv_faces)
 }
 
-fn tube(name: &str, kind: GarmentKind, layer: u32) -> Garment {
-    let (faces, uv_faces) = tube_faces();
-    let uv = (0..RINGS)
+fn tube(name: &str, kind: GarmentKind, layer: u32, (rings, height): (usize, f64)) -> Garment {
+    let (faces, uv_faces) = tube_faces(rings);
+    let uv = (0..rings)
         .flat_map(|ring| {
             (0..=AROUND).map(move |side| {
                 [
                     0.63 * side as f32 / AROUND as f32,
-                    0.1 * (HEIGHT as f32) * ring as f32 / (RINGS - 1) as f32,
+                    0.1 * (height as f32) * ring as f32 / (rings - 1) as f32,
                 ]
             })
         })
@@ -90,7 +107,7 @@ fn tube(name: &str, kind: GarmentKind, layer: u32) -> Garment {
         name: name.into(),
         kind,
         layer,
-        rest: vec![[0.0; 3]; AROUND * RINGS],
+        rest: vec![[0.0; 3]; AROUND * rings],
         panel_of_face: vec![0; faces.len()],
         faces,
         uv,
@@ -107,17 +124,15 @@ fn tube(name: &str, kind: GarmentKind, layer: u32) -> Garment {
     }
 }
 
-/// Rings of a closed capsule, poles included.
-const BODY_RINGS: usize = 13;
-
-fn body_faces() -> Vec<[u32; 3]> {
+/// Triangles of a closed capsule.
+fn body_faces(rings: usize) -> Vec<[u32; 3]> {
     let at = |ring: usize, side: usize| (1 + ring * AROUND + side % AROUND) as u32;
-    let top = (1 + BODY_RINGS * AROUND) as u32;
+    let top = (1 + rings * AROUND) as u32;
     let mut faces = Vec::new();
     for side in 0..AROUND {
         faces.push([0, at(0, side + 1), at(0, side)]);
-        faces.push([top, at(BODY_RINGS - 1, side), at(BODY_RINGS - 1, side + 1)]);
-        for ring in 0..BODY_RINGS - 1 {
+        faces.push([top, at(rings - 1, side), at(rings - 1, side + 1)]);
+        for ring in 0..rings - 1 {
             let (a, b, c, d) = (
                 at(ring, side),
                 at(ring, side + 1),
@@ -131,22 +146,25 @@ fn body_faces() -> Vec<[u32; 3]> {
 }
 
 /// Capsule of radius 0.85 around the garments' axis, `[vertex, 3]`.
-fn capsule() -> Vec<[f64; 3]> {
+fn capsule(config: &SceneConfig) -> Vec<[f64; 3]> {
+    let (rings, (_, height)) = (config.body_rings(), config.tube());
     let radius = 0.85;
-    let (low, high) = (-0.2, HEIGHT + 0.2);
+    let (low, high) = (-0.2, height + 0.2);
     let mut points = vec![[0.0, 0.0, low - radius]];
-    for ring in 0..BODY_RINGS {
-        // Three rings of each half sphere, the others along the cylinder.
+    for ring in 0..rings {
         let (r, z) = match ring {
             0..3 => {
                 let angle = TAU / 4.0 * (ring as f64 + 1.0) / 4.0;
                 (radius * angle.sin(), low - radius * angle.cos())
             }
-            10.. => {
-                let angle = TAU / 4.0 * (BODY_RINGS - ring) as f64 / 4.0;
+            _ if ring + 3 >= rings => {
+                let angle = TAU / 4.0 * (rings - ring) as f64 / 4.0;
                 (radius * angle.sin(), high + radius * angle.cos())
             }
-            _ => (radius, low + (high - low) * (ring - 3) as f64 / 6.0),
+            _ => (
+                radius,
+                low + (high - low) * (ring - 3) as f64 / (rings - 7) as f64,
+            ),
         };
         points.extend((0..AROUND).map(|side| {
             let angle = TAU * side as f64 / AROUND as f64;
@@ -165,7 +183,11 @@ impl Scene {
             ("outer", GarmentKind::Jacket),
         ];
         let garments = kinds[..config.garments].iter().enumerate();
-        let body = if config.body { capsule() } else { Vec::new() };
+        let body = if config.body {
+            capsule(&config)
+        } else {
+            Vec::new()
+        };
         let mut effects = vec![Effect::Gravity];
         effects.extend(config.wind.then_some(Effect::Wind));
         let header = SequenceHeader {
@@ -186,14 +208,14 @@ impl Scene {
             body: BodyTopology {
                 rest: Vec::new(),
                 faces: if config.body {
-                    body_faces()
+                    body_faces(config.body_rings())
                 } else {
                     Vec::new()
                 },
                 vertex_count: body.len(),
             },
             garments: garments
-                .map(|(layer, &(name, kind))| tube(name, kind, layer as u32))
+                .map(|(layer, &(name, kind))| tube(name, kind, layer as u32, config.tube()))
                 .collect(),
         };
         Self { config, header }
@@ -217,7 +239,7 @@ impl Scene {
             0.0,
         ];
         let points = if self.config.body {
-            capsule()
+            capsule(&self.config)
         } else {
             Vec::new()
         };
@@ -229,16 +251,17 @@ impl Scene {
                 [0, 1, 2].map(|axis| x[axis] + offset[axis])
             })
             .collect();
+        let (rings, height) = self.config.tube();
         let garments = (0..self.config.garments)
             .map(|layer| {
                 let lag = t - 0.5 - 0.3 * layer as f64;
-                (0..AROUND * RINGS)
+                (0..AROUND * rings)
                     .map(|vertex| {
                         let (ring, side) = ((vertex / AROUND) as f64, (vertex % AROUND) as f64);
                         let angle = TAU * side / AROUND as f64;
                         let ripple = 0.03 * (3.0 * angle + ring + motion * lag).sin();
                         let radius = 1.0 + 0.15 * layer as f64 + ripple;
-                        let z = HEIGHT * ring / (RINGS - 1) as f64
+                        let z = height * ring / (rings - 1) as f64
                             + 0.02 * (2.0 * angle - motion * lag).cos();
                         let sway = [
                             0.03 * motion * (1.1 * lag).sin(),

@@ -61,9 +61,25 @@ fn bad_garments_are_named_with_their_line() {
     let expected = "4 vertices, 2 faces, 4 UV coordinates, 1 panels";
     assert!(printed(&output).contains(expected), "{}", printed(&output));
     assert!(folder.join("good.panels.png").is_file());
+    // A polygon is used, and what was done with it is said with its line.
+    let polygon = sound.replace("f 1/1 2/2 3/3\nf 3/3 2/2 4/4", "f 1/1 2/2 4/4 3/3");
+    fs::write(folder.join("polygon.obj"), polygon).unwrap();
+    let output = run("drape-inspect", folder, &["polygon.obj", "--no-pictures"]);
+    assert!(output.status.success(), "{}", printed(&output));
+    for part in [
+        "4 vertices, 2 faces",
+        "line 9: a face of 4 corners",
+        "cut into",
+    ] {
+        assert!(
+            printed(&output).contains(part),
+            "{part}: {}",
+            printed(&output)
+        );
+    }
     for (name, from, to, part) in [
         ("nan", "v 1 1 0.1", "v 1 NaN 0.1", "line 4"),
-        ("polygon", "f 3/3 2/2 4/4", "f 1/1 3/3 2/2 4/4", "line 10"),
+        ("inwards", "f 3/3 2/2 4/4", "f 1/1 3/3 2/2 4/4", "line 10"),
         ("no-uv", "f 3/3 2/2 4/4", "f 3 2 4", "line 10"),
         ("flat", "f 3/3 2/2 4/4", "f 3/3 2/2 2/4", "line 10"),
         ("outside", "f 3/3 2/2 4/4", "f 3/3 2/2 5/4", "line 10"),

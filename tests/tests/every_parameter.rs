@@ -24,11 +24,11 @@ fn every_weight_gets_a_finite_gradient_that_is_not_zero() {
         )
         .unwrap();
         assert!(
-            result.prediction.graph.body_tokens > 10,
+            result.evaluation.graph().body_tokens > 10,
             "the scene has a body in reach"
         );
         assert!(
-            !result.prediction.graph.edges.world.items.is_empty(),
+            !result.evaluation.graph().edges.world.items.is_empty(),
             "and layers in reach"
         );
         assert!(result.losses.not_finite().is_none());

@@ -12,7 +12,7 @@ use drape_dataset::statistics::{ColumnStatistics, Trend};
 use drape_model::kernels::attention::{self, Edges, GROUP_PARAMETERS, GROUPS, HEAD, WIDTH};
 use drape_model::parameters::is_idle;
 use drape_model::reference::{self, Group};
-use drape_model::{LayersNet, ModelConfig, Parameters, Prediction};
+use drape_model::{Evaluation, LayersNet, ModelConfig, Parameters, Prediction};
 use drape_tests::oracle::relative;
 use drape_tests::scene::{Scene, SceneConfig};
 use rand::Rng;
@@ -115,6 +115,12 @@ impl Case {
             .unwrap()
     }
 
+    fn evaluated(&self, net: &LayersNet) -> Evaluation {
+        let (outfit, state) = (&self.sample.outfit, &self.sample.state);
+        net.evaluate(outfit, &self.statistics, state, &self.sample.steps[0])
+            .unwrap()
+    }
+
     fn by_reference(&self, parameters: &Parameters) -> Prediction {
         reference::forward(
             &self.config,
@@ -141,6 +147,10 @@ fn random(name: &str, shape: impl Into<candle_core::Shape>) -> Tensor {
 fn flat(tensor: &Tensor) -> Vec<f64> {
     let tensor = tensor.to_dtype(DType::F64).unwrap();
     tensor.flatten_all().unwrap().to_vec1().unwrap()
+}
+
+fn rows(tensor: &Tensor) -> Vec<[f64; 3]> {
+    flat(tensor).as_chunks::<3>().0.to_vec()
 }
 
 fn outputs(prediction: &Prediction) -> Vec<(String, &Tensor)> {
@@ -207,8 +217,16 @@ fn backward(prediction: &Prediction) -> GradStore {
 fn gradient_difference(case: &Case, dtype: DType, seed: u64) -> (f64, String) {
     let parameters = case.parameters(dtype, seed);
     let net = LayersNet::trainable(&case.config, &parameters).unwrap();
-    let kernels = backward(&case.by_kernels(&net));
-    let kernels = net.gradients(&parameters, &kernels).unwrap();
+    let mut evaluation = case.evaluated(&net);
+    let prediction = evaluation.prediction().unwrap();
+    let [by_vertex, by_patch] = [
+        ("vertices", &prediction.acceleration),
+        ("patches", &prediction.patch_acceleration),
+    ]
+    .map(|(name, x)| rows(&random(name, x.shape())));
+    let kernels = net
+        .gradients(&parameters, &mut evaluation, &by_vertex, &by_patch)
+        .unwrap();
     let reference = backward(&case.by_reference(&parameters));
     let mut worst = (0.0, String::new());
     for (name, variable) in parameters.iter() {

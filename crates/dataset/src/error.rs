@@ -35,18 +35,21 @@ pub enum DatasetError {
     /// The file stops before its end.
     #[error(
         "{}: truncated: {reason}; the copy or the program that wrote it was interrupted: \
-         copy or generate the file again", path.display()
+         copy or generate the file again{saveable}", path.display()
     )]
     Truncated {
         /// The file.
         path: PathBuf,
         /// Which part is missing.
         reason: String,
+        /// What can be saved and how, as the tail of a sentence; empty when nothing can.
+        saveable: String,
     },
     /// Bytes changed since the file was written.
     #[error(
         "{}: damaged in {place}: expected {expected}, found {found}; \
-         restore or generate the file again", path.display()
+         restore or generate the file again, or save its whole frames with \
+         `cargo xtask inspect FILE --recover OUT`", path.display()
     )]
     Corrupt {
         /// The file.

@@ -1,30 +1,35 @@
 //! Layered garment sequences: files, data sets, patches, statistics, samples.
 //!
-//! Usable on its own: no tensors and no simulation in its tree. Three steps
-//! from a file to numbers:
+//! Usable on its own: no tensors and no simulation in its tree.
 //!
-//! ```no_run
-//! use drape_dataset::SequenceReader;
-//! use drape_dataset::patches::Patches;
+//! # From an OBJ file to patched samples
 //!
-//! # fn main() -> drape_dataset::Result<()> {
-//! // 1. Open: what is fixed for the whole sequence is in the header.
-//! let sequence = SequenceReader::open("train_0007.mcap")?;
-//! let header = sequence.header();
-//! println!("{}: {} frames, {} fps", header.name, sequence.frame_count(), header.scene.fps);
+//! The whole way, as a program that runs (`examples/obj_to_samples.rs`): a garment from
+//! an OBJ file, a sequence of frames written to a file, the file listed in a data set,
+//! samples with the garment cut into patches, the particles of LayersNet.
 //!
-//! // 2. Read frames, in any order: positions are `[vertex, 3]`, absolute.
-//! let frame = sequence.frame(12)?;
-//! for (garment, positions) in header.garments.iter().zip(&frame.garments) {
-//!     println!("{} (layer {}): [{}, 3]", garment.kind, garment.layer, positions.len());
-//! }
-//!
-//! // 3. Cut the garments into patches of 5 cm, the particles of LayersNet.
-//! let patches = Patches::of_outfit(&header.garments, 0.05 / header.scene.metres_per_uv)?;
-//! println!("{} patches", patches.count());
-//! # Ok(())
-//! # }
 //! ```
+#![doc = include_str!("../examples/obj_to_samples.rs")]
+//! ```
+//!
+//! What happened on the way:
+//!
+//! - Reading the OBJ refused what cannot be a garment, with its line, and noted what may
+//!   not be meant so: here, that a face of four corners was cut in two.
+//! - The file got its name when it was complete, and not before. Reading it compares
+//!   checksums, shapes, indices and numbers, so what you get needs no check of its own.
+//! - [`samples::Samples`] gathered the statistics that states are normalised by, and
+//!   draws every place of every sequence once an epoch, in an order that depends on the
+//!   seed alone. A checkpoint keeps `order.progress()`.
+//! - A [`sample::Sample`] has the start state relative to the body's root, what drives
+//!   each step (body, wind, gravity) and the reference after it; [`sample::Outfit`] has
+//!   faces, patches, their neighbours and their material attributes.
+//!
+//! More examples: `read_frames`, `copy_for_viewing`, `save_whole_frames`,
+//! `go_on_drawing`, `d_layers_to_samples`; and `plot_vertex.py`, which reads a file with
+//! Python.
+//!
+//! # Conventions
 //!
 //! Lengths are in scene units (10 to a metre by default), Z up. Everything that
 //! is read has been checked: checksums, shapes, indices, finite numbers. An
@@ -35,6 +40,8 @@
 //! |---|---|
 //! | write a sequence | [`SequenceWriter`] |
 //! | read a sequence | [`SequenceReader`] |
+//! | make a smaller copy for viewing | [`file::Storage`] |
+//! | save what is whole of a broken file | [`file::recover`] |
 //! | know the fields | [`sequence`], [`registry`] |
 //! | keep sequences as a data set with splits | [`splits::DatasetIndex`] |
 //! | take a garment from or to OBJ | [`obj`] |
@@ -42,7 +49,8 @@
 //! | import Blender cloth exports | [`import`] (feature `npz`), program `drape-import` (feature `cli`) for both |
 //! | count intersections of a frame | [`intersections`] |
 //! | cut garments into patches | [`patches`] |
-//! | normalise, and draw training samples | [`statistics`], [`sample`] |
+//! | draw training samples, shuffled, and go on later | [`samples`], [`order`] |
+//! | know what a sample holds, and how it is normalised | [`sample`], [`statistics`] |
 //!
 //! The files' format is normative in `data-spec/README.md` of the repository.
 
@@ -53,11 +61,13 @@ pub mod file;
 pub mod import;
 pub mod intersections;
 pub mod obj;
+pub mod order;
 pub mod panels;
 pub mod patches;
 pub mod random;
 pub mod registry;
 pub mod sample;
+pub mod samples;
 pub mod sequence;
 pub mod splits;
 pub mod statistics;

@@ -1,16 +1,20 @@
 //! Garment meshes from and to Wavefront OBJ.
 //!
-//! A garment file holds triangles, each corner with position and UV
-//! (`f 1/1 2/2 3/3`), UVs in `[0, 1]`. Panels are the islands of the UV map.
-//! Anything else is refused with the line it stands in: a garment that was
-//! silently triangulated, or whose missing UVs were invented, trains silently
-//! wrong. Normals, groups, smoothing and materials are read over.
+//! A garment file holds faces, each corner with position and UV (`f 1/1 2/2 3/3`),
+//! UVs in `[0, 1]`. Panels are the islands of the UV map. What cannot be a garment is
+//! refused with the line it stands in: missing UVs that were invented train silently
+//! wrong. What can be one, but may not be meant so, is told in
+//! [`GarmentMesh::notes`]: polygons, which are cut into triangles, edges that are not a
+//! manifold's, vertices in one place, pieces, and a guess at unit and up axis. Normals,
+//! groups, smoothing and materials are read over.
 //!
 //! `tobj` reads the mesh. What it would pass over in silence is checked line by
 //! line before: it invents missing UVs, takes index 0 for none, and knows no
 //! line numbers. It also numbers vertices in the order in which faces name them,
 //! which would break the link to recorded frames: a first face that names all in
 //! the file's order prevents that.
+
+mod notes;
 
 use std::fmt::Write;
 use std::fs;
@@ -41,13 +45,15 @@ pub struct GarmentMesh {
     pub panel_of_face: Vec<u32>,
     /// Number of panels.
     pub panel_count: usize,
+    /// What may not be as it was meant, with lines.
+    pub notes: Vec<String>,
 }
 
 impl GarmentMesh {
     /// Reads and checks a file.
     ///
     /// # Errors
-    /// Names the line: not a number, NaN or infinite; a face with other than
+    /// Names the line: not a number, NaN or infinite; a face with fewer than
     /// three corners, without UV, with an index out of range, with a repeated
     /// vertex or without area; a vertex of no face; UVs outside `[0, 1]`;
     /// lines and points; no faces at all.
@@ -59,6 +65,8 @@ impl GarmentMesh {
 
     /// Like [`read`](Self::read), from text.
     pub fn parse(text: &str) -> Result<Self> {
+        let mut polygons = 0;
+        let mut first_polygon = None;
         // The text without what tobj need not see, its faces counted from 1.
         let mut plain = String::new();
         // Line of each vertex, UV and face, to name it when a later check fails.
@@ -79,11 +87,18 @@ impl GarmentMesh {
                     uv_line.push(number);
                 }
                 Some("f") => {
-                    let [a, b, c] = corners(words, vertex_line.len(), uv_line.len())
-                        .map_err(at)?
-                        .map(|(vertex, uv)| format!("{}/{}", vertex + 1, uv + 1));
-                    writeln!(plain, "f {a} {b} {c}").expect("memory");
-                    face_line.push(number);
+                    let corners = corners(words, vertex_line.len(), uv_line.len()).map_err(at)?;
+                    let word = |(vertex, uv): (u32, u32)| format!("{}/{}", vertex + 1, uv + 1);
+                    if corners.len() > 3 {
+                        polygons += 1;
+                        first_polygon.get_or_insert((number, corners.len()));
+                    }
+                    // A fan from the first corner: with three corners, the face itself.
+                    for pair in corners[1..].windows(2) {
+                        let [a, b, c] = [corners[0], pair[0], pair[1]].map(word);
+                        writeln!(plain, "f {a} {b} {c}").expect("memory");
+                        face_line.push(number);
+                    }
                 }
                 Some("vn" | "vp" | "o" | "g" | "s" | "usemtl" | "mtllib") | None => {}
                 Some(comment) if comment.starts_with('#') => {}
@@ -115,7 +130,12 @@ impl GarmentMesh {
             }
         }
         for (face, line) in face_line.iter().enumerate() {
-            check_area(&mesh, face).map_err(|error| error.at(&format!("line {line}")))?;
+            let at = |error: DatasetError| error.at(&format!("line {line}"));
+            check_area(&mesh, face).map_err(at)?;
+            // Triangles of one line are one polygon.
+            if face > 0 && face_line[face - 1] == *line {
+                check_fan(&mesh, face).map_err(at)?;
+            }
         }
         let mut used = vec![false; mesh.rest.len()];
         mesh.faces
@@ -130,6 +150,13 @@ impl GarmentMesh {
             ));
         }
         (mesh.panel_of_face, mesh.panel_count) = uv_islands(&mesh.uv_faces, mesh.uv.len());
+        if let Some((line, corners)) = first_polygon {
+            mesh.notes.push(format!(
+                "line {line}: a face of {corners} corners; {polygons} such faces were cut into \
+                 triangles, each as a fan from its first corner"
+            ));
+        }
+        mesh.notes.extend(notes::of(&mesh, &face_line));
         Ok(mesh)
     }
 
@@ -161,6 +188,7 @@ impl GarmentMesh {
             uv_faces: triangles(&mesh.texcoord_indices),
             panel_of_face: Vec::new(),
             panel_count: 0,
+            notes: Vec::new(),
         })
     }
 
@@ -244,26 +272,30 @@ fn numbers<'a, const N: usize>(
     Ok(values)
 }
 
-/// Three corners as (vertex, UV), counted from 0.
+/// At least three corners as (vertex, UV), counted from 0.
 fn corners<'a>(
     words: impl Iterator<Item = &'a str>,
     vertices: usize,
     uvs: usize,
-) -> Result<[(u32, u32); 3]> {
+) -> Result<Vec<(u32, u32)>> {
     let words: Vec<&str> = words.take_while(|word| !word.starts_with('#')).collect();
-    let words: [&str; 3] = words.try_into().map_err(|words: Vec<_>| {
-        let expected = "three corners (triangulate the mesh first)";
-        DatasetError::invalid("face", expected, format!("{} corners", words.len()))
-    })?;
-    let mut corners = [(0, 0); 3];
-    for (corner, word) in corners.iter_mut().zip(words) {
+    if words.len() < 3 {
+        let found = format!("{} corners", words.len());
+        return Err(DatasetError::invalid(
+            "face",
+            "three corners or more",
+            found,
+        ));
+    }
+    let mut corners = Vec::with_capacity(words.len());
+    for word in words {
         let mut parts = word.split('/');
         let vertex = parts.next().unwrap_or_default();
         let uv = parts.next().filter(|uv| !uv.is_empty()).ok_or_else(|| {
             let expected = "position/UV at every corner (unwrap the whole mesh)";
             DatasetError::invalid("face", expected, format!("{word:?}"))
         })?;
-        *corner = (index("vertex", vertex, vertices)?, index("UV", uv, uvs)?);
+        corners.push((index("vertex", vertex, vertices)?, index("UV", uv, uvs)?));
     }
     Ok(corners)
 }
@@ -283,6 +315,28 @@ fn index(what: &str, word: &str, count: usize) -> Result<u32> {
             let expected = format!("a {what} index from 1 to {count} (the {what} lines so far)");
             DatasetError::invalid("face", expected, format!("{word:?}"))
         })
+}
+
+/// A fan over a corner that points inwards has a triangle that lies on another.
+fn check_fan(mesh: &GarmentMesh, face: usize) -> Result<()> {
+    let normal = |face: usize| {
+        let [a, b, c] = mesh.faces[face].map(|i| mesh.rest[i as usize].map(f64::from));
+        let (p, q) = (
+            [0, 1, 2].map(|i| b[i] - a[i]),
+            [0, 1, 2].map(|i| c[i] - a[i]),
+        );
+        [1, 2, 0].map(|i| p[i] * q[(i + 1) % 3] - p[(i + 1) % 3] * q[i])
+    };
+    let (before, now) = (normal(face - 1), normal(face));
+    if (0..3).map(|i| before[i] * now[i]).sum::<f64>() > 0.0 {
+        return Ok(());
+    }
+    let expected = "a polygon whose corners point outwards (triangulate this one by hand)";
+    Err(DatasetError::invalid(
+        "face",
+        expected,
+        "a corner that points inwards",
+    ))
 }
 
 fn check_area(mesh: &GarmentMesh, face: usize) -> Result<()> {

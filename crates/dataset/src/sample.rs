@@ -25,15 +25,15 @@ pub type State = [f32; 6];
 pub type StatePair = [f32; 12];
 
 /// The strongest wind of the paper; strengths are divided by it.
-const WIND_STRENGTH_SCALE: f32 = 400.0;
-/// Range of each attribute in the paper's units, mapped to 0–1:
-/// tension, bending, mass, friction between garments, friction of the body.
-const ATTRIBUTE_RANGES: [(f32, f32); 5] = [
-    (15.0, 100.0),
-    (15.0, 200.0),
-    (0.2, 0.8),
-    (40.0, 80.0),
-    (40.0, 80.0),
+pub const WIND_STRENGTH_SCALE: f32 = 400.0;
+/// Name of each attribute and its range in the paper's units, mapped to 0–1
+/// (`data-spec/registry.md`); `friction` is between garments.
+pub const ATTRIBUTE_RANGES: [(&str, f32, f32); 5] = [
+    ("tension", 15.0, 100.0),
+    ("bending", 15.0, 200.0),
+    ("mass", 0.2, 0.8),
+    ("friction", 40.0, 80.0),
+    ("body_friction", 40.0, 80.0),
 ];
 /// Column of the mass.
 const MASS: usize = 2;
@@ -91,7 +91,7 @@ impl Outfit {
                 header.scene.body_friction,
             ];
             let mut row = [0f32; 5];
-            for ((value, raw), (low, high)) in row.iter_mut().zip(raw).zip(ATTRIBUTE_RANGES) {
+            for ((value, raw), (_, low, high)) in row.iter_mut().zip(raw).zip(ATTRIBUTE_RANGES) {
                 *value = (raw - low) / (high - low);
             }
             let index = attributes
@@ -138,7 +138,7 @@ impl Outfit {
     /// Vertex mass of a patch's garment in the paper's units.
     pub fn mass(&self, patch: usize) -> f32 {
         let row = self.patch_attributes.row(patch)[0];
-        let (low, high) = ATTRIBUTE_RANGES[MASS];
+        let (_, low, high) = ATTRIBUTE_RANGES[MASS];
         low + self.attributes[row as usize][MASS] * (high - low)
     }
 
@@ -149,7 +149,7 @@ impl Outfit {
 }
 
 /// States of one frame, relative to its root.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct FrameStates {
     /// Garment vertices.
     pub garments: Vec<State>,
@@ -165,6 +165,18 @@ impl FrameStates {
     /// States of frame `f` from the frames `f`, `f − 1` and `f − 2`; velocity and
     /// acceleration are zero where the older frame does not exist.
     pub fn new(frame: &Frame, previous: Option<&Frame>, second: Option<&Frame>) -> Self {
+        let mut states = Self::default();
+        states.become_those_of(frame, previous, second);
+        states
+    }
+
+    /// [`FrameStates::new`] in the same memory.
+    pub fn become_those_of(
+        &mut self,
+        frame: &Frame,
+        previous: Option<&Frame>,
+        second: Option<&Frame>,
+    ) {
         let relative = |frame: &Frame, x: [f32; 3]| {
             let root = frame.root.translation;
             [x[0] - root[0], x[1] - root[1], x[2] - root[2]]
@@ -177,23 +189,20 @@ impl FrameStates {
             });
             [p[0], p[1], p[2], v[0], v[1], v[2]]
         };
-        let garments = frame
-            .garments
-            .iter()
-            .enumerate()
-            .flat_map(|(garment, positions)| {
-                let older = previous.map(|older| (older, &older.garments[garment]));
-                positions.iter().enumerate().map(move |(vertex, &x)| {
-                    state(x, older.map(|(frame, all)| (frame, all[vertex])))
-                })
-            })
-            .collect();
-        let body = frame
-            .body
-            .iter()
-            .enumerate()
-            .map(|(vertex, &x)| state(x, previous.map(|older| (older, older.body[vertex]))))
-            .collect();
+        self.garments.clear();
+        for (garment, positions) in frame.garments.iter().enumerate() {
+            let older = previous.map(|older| (older, &older.garments[garment]));
+            let states = positions
+                .iter()
+                .enumerate()
+                .map(|(vertex, &x)| state(x, older.map(|(frame, all)| (frame, all[vertex]))));
+            self.garments.extend(states);
+        }
+        self.body.clear();
+        let body = frame.body.iter().enumerate();
+        self.body.extend(
+            body.map(|(vertex, &x)| state(x, previous.map(|older| (older, older.body[vertex])))),
+        );
         let mut root = [0f32; 9];
         for axis in 0..3 {
             let x = frame.root.translation[axis];
@@ -207,12 +216,8 @@ impl FrameStates {
                 root[6 + axis] = v - older;
             }
         }
-        Self {
-            garments,
-            body,
-            root,
-            wind: frame.wind,
-        }
+        self.root = root;
+        self.wind = frame.wind;
     }
 
     /// Adds this frame to the statistics; accelerations are differences of
@@ -234,7 +239,7 @@ impl FrameStates {
 }
 
 /// What drives one frame: everything at `t + 1` and `t` that is given.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Step {
     /// Body states, next frame first: `[body vertex, 12]`.
     pub body: Vec<StatePair>,
@@ -255,12 +260,23 @@ impl Step {
         statistics: &Statistics,
         gravity: [f32; 3],
     ) -> Self {
-        let body = next
-            .body
-            .iter()
-            .zip(&now.body)
-            .map(|(newer, older)| pair(newer, older))
-            .collect();
+        let mut step = Self::default();
+        step.lead(next, now, statistics, gravity);
+        step
+    }
+
+    /// [`Step::new`] in the same memory.
+    pub fn lead(
+        &mut self,
+        next: &FrameStates,
+        now: &FrameStates,
+        statistics: &Statistics,
+        gravity: [f32; 3],
+    ) {
+        let body = next.body.iter().zip(&now.body);
+        self.body.clear();
+        self.body
+            .extend(body.map(|(newer, older)| pair(newer, older)));
         let mut wind = [0f32; 22];
         let mut normalised_gravity = [0f32; 6];
         for (slot, states) in [next, now].into_iter().enumerate() {
@@ -277,12 +293,9 @@ impl Step {
                         / columns.std[6 + axis];
             }
         }
-        Self {
-            body,
-            wind,
-            wind_rotations: [next, now].map(|states| rotation_matrix(states.wind.rotation)),
-            gravity: normalised_gravity,
-        }
+        self.wind = wind;
+        self.wind_rotations = [next, now].map(|states| rotation_matrix(states.wind.rotation));
+        self.gravity = normalised_gravity;
     }
 
     /// Coming strength of the wind, of 400.

@@ -47,8 +47,28 @@ pub struct SceneMeta {
     pub warnings: Vec<String>,
 }
 
-/// The body's mesh without its motion.
-#[derive(Clone, Debug, PartialEq)]
+/// 10 units to a metre, 30 frames per second, one UV unit is a metre; no effects, no
+/// gravity, origin unknown.
+impl Default for SceneMeta {
+    fn default() -> Self {
+        Self {
+            scale: 10.0,
+            fps: 30.0,
+            seed: 0,
+            engine: String::new(),
+            engine_version: String::new(),
+            effects: Vec::new(),
+            gravity: [0.0; 3],
+            body_friction: 0.0,
+            metres_per_uv: 1.0,
+            recipe: String::new(),
+            warnings: Vec::new(),
+        }
+    }
+}
+
+/// The body's mesh without its motion. By default there is none.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct BodyTopology {
     /// Body in its rest pose (the pose in which garments are fitted), `[vertex, 3]`; may be empty.
     pub rest: Vec<[f32; 3]>,

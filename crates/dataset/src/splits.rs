@@ -9,14 +9,18 @@ use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::fs::{self, File};
 use std::io::{self, BufReader};
+use std::num::NonZeroUsize;
+use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread::ScopedJoinHandle;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::atomic;
 use crate::error::{DatasetError, Result};
-use crate::file::{FORMAT_MAJOR, FORMAT_MINOR, SequenceReader};
+use crate::file::{EXACT_MINOR, FORMAT_MAJOR, SequenceReader, Storage};
 use crate::registry::{GarmentKind, registry};
 
 /// Name of the index in its folder.
@@ -69,7 +73,7 @@ impl DatasetIndex {
     pub fn new(folder: impl AsRef<Path>, name: impl Into<String>) -> Self {
         let contents = Contents {
             name: name.into(),
-            format: [FORMAT_MAJOR, FORMAT_MINOR],
+            format: [FORMAT_MAJOR, EXACT_MINOR],
             sequences: Vec::new(),
         };
         Self {
@@ -133,10 +137,13 @@ impl DatasetIndex {
 
     /// Opens a finished sequence file of the folder, and lists it.
     /// A file of that name that is listed already is listed anew.
+    ///
+    /// # Errors
+    /// As [`SequenceReader::open`]; a quantised file.
     pub fn add(&mut self, file: impl Into<String>, split: Split) -> Result<()> {
         let file = file.into();
         let path = self.folder.join(&file);
-        let reader = SequenceReader::open(&path)?;
+        let reader = open_exact(&path)?;
         let entry = SequenceEntry {
             split,
             garments: reader
@@ -204,8 +211,47 @@ impl DatasetIndex {
     }
 
     /// Opens a sequence.
+    ///
+    /// # Errors
+    /// As [`SequenceReader::open`]; a quantised file.
     pub fn open(&self, entry: &SequenceEntry) -> Result<SequenceReader> {
-        SequenceReader::open(self.path(entry))
+        open_exact(&self.path(entry))
+    }
+
+    /// What `work` makes of each of `entries`, in their order. Sequences are opened and
+    /// decoded on `threads` threads, which changes the time and nothing else.
+    ///
+    /// # Errors
+    /// That of the first entry, in their order, which cannot be opened or on which `work` fails.
+    pub fn map<T: Send>(
+        &self,
+        entries: &[&SequenceEntry],
+        threads: NonZeroUsize,
+        work: impl Fn(&SequenceEntry, SequenceReader) -> Result<T> + Sync,
+    ) -> Result<Vec<T>> {
+        let next = AtomicUsize::new(0);
+        let worker = || {
+            let mut done = Vec::new();
+            loop {
+                let number = next.fetch_add(1, Ordering::Relaxed);
+                let Some(entry) = entries.get(number) else {
+                    return done;
+                };
+                let result = self.open(entry).and_then(|reader| work(entry, reader));
+                done.push((number, result));
+            }
+        };
+        let mut done = std::thread::scope(|scope| {
+            let workers: Vec<_> = (0..threads.get().min(entries.len()))
+                .map(|_| scope.spawn(worker))
+                .collect();
+            let join = |worker: ScopedJoinHandle<'_, Vec<_>>| {
+                worker.join().unwrap_or_else(|panic| resume_unwind(panic))
+            };
+            workers.into_iter().flat_map(join).collect::<Vec<_>>()
+        });
+        done.sort_by_key(|(number, _)| *number);
+        done.into_iter().map(|(_, result)| result).collect()
     }
 
     /// Name of the data: SHA-256 over the sorted SHA-256s of the files.
@@ -235,6 +281,18 @@ impl DatasetIndex {
             }
         }
         Ok(())
+    }
+}
+
+/// A data set is there to learn and to measure from: quantised positions are not.
+fn open_exact(path: &Path) -> Result<SequenceReader> {
+    let reader = SequenceReader::open(path)?;
+    match reader.storage() {
+        Storage::Exact => Ok(reader),
+        quantised => {
+            let expected = "exact positions in a data set (accelerations feel the steps)";
+            Err(DatasetError::invalid("storage", expected, quantised.to_string()).in_file(path))
+        }
     }
 }
 

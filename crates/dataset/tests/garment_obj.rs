@@ -82,9 +82,9 @@ fn what_is_no_garment_is_refused_with_its_line() {
             &["line 9", "[0, 1]", "1.25"],
         ),
         (
-            "quad",
-            "f 1/1 2/2 3/3 4/1\n",
-            &["three corners", "found 4", "triangulate"],
+            "flat part of a quad",
+            "f 1/1 2/2 4/3 3/3\n",
+            &["triangle with an area"],
         ),
         ("line face", "f 1/1 2/2\n", &["three corners", "found 2"]),
         ("no UV", "f 1 2 3\n", &["position/UV", "unwrap"]),
@@ -120,6 +120,11 @@ fn what_is_no_garment_is_refused_with_its_line() {
             &["line 4", "vertex 3", "at least one face"],
         ),
         ("no faces", "", &["at least one triangle"]),
+        (
+            "inwards",
+            "v 0 0 0\nv 4 0 0\nv 1 1 0\nv 0 4 0\nvt 0 0\nf 2/1 3/1 4/1 1/1\n",
+            &["line 6", "points inwards", "by hand"],
+        ),
     ];
     // Vertices 0, 1, 3 lie on a line.
     let mesh = "v 0 0 0\nv 1 1 1\nv 0 1 0\nv 3 3 3\nvt 0 0\nvt 1 0\nvt 0 1\n";
@@ -154,4 +159,142 @@ fn a_thin_triangle_is_a_triangle_and_a_thinner_one_is_not() {
     assert!(with_height(2e-6), "above the threshold");
     assert!(!with_height(5e-7), "below it");
     assert!(!with_height(0.0), "flat");
+}
+
+/// A garment-sized cylinder of n quads around the axis of `up`, `height` above the
+/// ground, with its seam closed or with a second row of vertices on it.
+fn tube(n: usize, up: usize, height: f32, size: f32, welded: bool) -> String {
+    let mut text = String::new();
+    let columns = if welded { n } else { n + 1 };
+    for column in 0..columns {
+        let (sin, cos) = ((column % n) as f32 / n as f32 * std::f32::consts::TAU).sin_cos();
+        for level in [0.0, 1.0] {
+            // Z up, then the axis turned: Y up is (x, y, z) to (x, z, -y).
+            let [x, y, z] = [cos, sin, height + level].map(|x| 3.0 * size * x);
+            let [x, y, z] = if up == 1 { [x, z, -y] } else { [x, y, z] };
+            text += &format!("v {x} {y} {z}\n");
+        }
+    }
+    text += "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n";
+    for column in 0..n {
+        let next = (column + 1) % columns;
+        let [a, b, c, d] = [2 * column + 1, 2 * next + 1, 2 * next + 2, 2 * column + 2];
+        text += &format!("f {a}/1 {b}/2 {c}/3 {d}/4\n");
+    }
+    text
+}
+
+fn notes(text: &str) -> Vec<String> {
+    GarmentMesh::parse(text).unwrap().notes
+}
+
+#[test]
+fn a_polygon_is_cut_into_a_fan_of_the_same_area_and_told_with_its_line() {
+    let hexagon = |skip: &str| {
+        let mut text = String::from("vt 0 0\nvt 1 0\nvt 0 1\n");
+        for corner in 0..6 {
+            let (sin, cos) = (f64::from(corner) * std::f64::consts::PI / 3.0).sin_cos();
+            text += &format!("v {} {} 0\n", 5.0 * cos, 5.0 * sin);
+        }
+        text + "f 1/1 2/2 3/3 4/1 5/2 6/3" + skip
+    };
+    let mesh = GarmentMesh::parse(&hexagon("\n")).unwrap();
+    assert_eq!(mesh.faces, [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]]);
+    assert_eq!(mesh.uv_faces, [[0, 1, 2], [0, 2, 0], [0, 0, 1], [0, 1, 2]]);
+    let area = |face: &[u32; 3]| {
+        let [a, b, c] = face.map(|i| mesh.rest[i as usize].map(f64::from));
+        ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])) / 2.0
+    };
+    let whole: f64 = mesh.faces.iter().map(area).sum();
+    assert!((whole - 1.5 * 3f64.sqrt() * 25.0).abs() < 1e-4, "{whole}");
+    assert!(mesh.notes[0].contains("line 10") && mesh.notes[0].contains("6 corners"));
+    // A comment is no corner.
+    assert_eq!(GarmentMesh::parse(&hexagon(" # six\n")).unwrap(), mesh);
+}
+
+#[test]
+fn a_sound_tube_gets_no_note_but_the_one_on_its_polygons() {
+    let found = notes(&tube(12, 2, 2.0, 1.0, true));
+    assert_eq!(found.len(), 1, "{found:?}");
+    assert!(found[0].contains("12 such faces"), "{found:?}");
+}
+
+#[test]
+fn unwelded_seams_pieces_and_bad_edges_are_named() {
+    let found = notes(&tube(12, 2, 2.0, 1.0, false)).join("\n");
+    assert!(
+        found.contains("vertices 0 and 24 lie in one place (2 such"),
+        "{found}"
+    );
+    assert!(!found.contains("pieces"), "{found}");
+
+    // A second tube above.
+    let vertices = tube(12, 2, 2.0, 1.0, true);
+    let (places, faces) = vertices.split_at(vertices.find("vt").unwrap());
+    let above = tube(12, 2, 2.5, 1.0, true);
+    let above = &above[..above.find("vt").unwrap()];
+    // The same faces again, on the vertices above: every index 24 higher.
+    let mut shifted = String::new();
+    for line in faces.lines().filter(|line| line.starts_with('f')) {
+        shifted += "f";
+        for word in line[2..].split(' ') {
+            let (vertex, uv) = word.split_once('/').unwrap();
+            shifted += &format!(" {}/{uv}", vertex.parse::<usize>().unwrap() + 24);
+        }
+        shifted += "\n";
+    }
+    let two = format!("{places}{faces}{above}{shifted}");
+    let found = notes(&two).join("\n");
+    assert!(
+        found.contains("2 pieces") && found.contains("(24, 24 vertices)"),
+        "{found}"
+    );
+
+    // Three faces on one edge, and a neighbour that faces the other way.
+    let fan = "v 0 0 0\nv 9 0 0\nv 0 9 0\nv 0 0 9\nv 0 -9 0\nvt 0 0\n";
+    let found = notes(&format!(
+        "{fan}f 1/1 2/1 3/1\nf 2/1 1/1 4/1\nf 1/1 2/1 5/1\n"
+    ))
+    .join("\n");
+    assert!(
+        found.contains("lines 7, 8, 9") && found.contains("[0, 1]"),
+        "{found}"
+    );
+    let turned = "v 0 0 0\nv 9 0 0\nv 0 9 0\nv 0 -9 0\nvt 0 0\nf 1/1 2/1 3/1\nf 1/1 2/1 4/1\n";
+    let found = notes(turned).join("\n");
+    assert!(
+        found.contains("lines 6 and 7") && found.contains("opposite ways"),
+        "{found}"
+    );
+    let sound = turned.replace("f 1/1 2/1 4/1", "f 2/1 1/1 4/1");
+    assert!(notes(&sound).is_empty(), "{:?}", notes(&sound));
+}
+
+#[test]
+fn another_unit_and_y_up_are_guessed_and_the_guess_says_what_to_do() {
+    for (size, expected) in [
+        (
+            0.1,
+            "metres; scenes have 10 units to a metre by default, so multiply by 10",
+        ),
+        (
+            10.0,
+            "centimetres; scenes have 10 units to a metre by default, so multiply by 0.1",
+        ),
+        (
+            100.0,
+            "millimetres; scenes have 10 units to a metre by default, so multiply by 0.01",
+        ),
+        (1e4, "is that size"),
+    ] {
+        let found = notes(&tube(12, 2, 2.0, size, true)).join("\n");
+        assert!(found.contains(expected), "{size}: {found}");
+    }
+    for (height, told) in [(2.0, true), (-0.5, false)] {
+        let found = notes(&tube(12, 1, height, 1.0, true)).join("\n");
+        assert_eq!(found.contains("as if Y were up"), told, "{height}: {found}");
+        // Undone as the note says, it hangs around Z.
+        let found = notes(&tube(12, 2, height, 1.0, true)).join("\n");
+        assert!(!found.contains("Y were up"), "{found}");
+    }
 }

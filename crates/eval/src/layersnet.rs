@@ -6,11 +6,11 @@
 //! a prediction becomes absolute by adding the root of the predicted frame.
 
 use drape_dataset::{
-    sample::{FrameStates, Outfit, State, StatePair, Step, gravity_per_frame, pair},
+    sample::{FrameStates, Outfit, StatePair, Step, gravity_per_frame, pair},
     statistics::{ColumnStatistics, Statistics, Trend},
 };
 use drape_model::{FrameGraph, LayersNet, ModelConfig};
-use drape_train::{TrainError, run::RunFolder, step::advance};
+use drape_train::{TrainError, run::RunFolder, step::advance_pairs};
 
 use crate::{
     EvalError,
@@ -26,29 +26,39 @@ enum Predictor {
 }
 
 impl Predictor {
-    /// Accelerations of all vertices, `[3 N]` in units/frame².
+    /// Accelerations of all vertices of the rollout under way, `[3 N]` in units/frame².
     fn accelerations(
         &self,
         statistics: &ColumnStatistics,
-        outfit: &Outfit,
-        state: &[StatePair],
-        step: &Step,
-    ) -> drape_model::Result<Vec<f32>> {
+        rolling: &mut Rolling,
+    ) -> drape_model::Result<()> {
+        let Rolling {
+            outfit,
+            state,
+            step,
+            accelerations: to,
+            graph,
+            trend,
+            ..
+        } = rolling;
         let config = match self {
             Self::Network(net) => {
-                let prediction = net.forward(outfit, statistics, state, step)?;
-                return Ok(prediction.acceleration.flatten_all()?.to_vec1()?);
+                net.evaluate(outfit, statistics, state, step)?
+                    .accelerations(to);
+                return Ok(());
             }
             Self::Trend(config) => config,
         };
-        let graph = FrameGraph::new(config, outfit, state, step)?;
-        let added = graph.trend(&statistics.trend, state, step);
-        let (vertices, patches) = added.split_at(state.len());
+        graph.derive(config, outfit, state, step)?;
+        graph.trend_again(&statistics.trend, state, step, trend);
+        let (vertices, patches) = trend.split_at(state.len());
         let whole = vertices.iter().zip(&graph.own_patch).map(|(own, &patch)| {
             let patch = patches[patch as usize];
             [0, 1, 2].map(|axis| own[axis] + patch[axis])
         });
-        Ok(whole.flatten().collect())
+        to.clear();
+        to.extend(whole.flatten());
+        Ok(())
     }
 }
 
@@ -65,9 +75,16 @@ pub struct LayersNetMethod {
 struct Rolling {
     outfit: Outfit,
     state: Vec<StatePair>,
-    /// Body, root and wind of the newest frame.
+    /// Body, root and wind of the newest frame, and room for the next one's.
     now: FrameStates,
+    next: FrameStates,
     gravity: [f32; 3],
+    step: Step,
+    /// Of the newest step.
+    accelerations: Vec<f32>,
+    /// Where a trend's accelerations are found.
+    graph: FrameGraph,
+    trend: Vec<[f32; 3]>,
 }
 
 impl LayersNetMethod {
@@ -151,7 +168,12 @@ impl Method for LayersNetMethod {
             outfit,
             state,
             now,
+            next: FrameStates::default(),
             gravity: gravity_per_frame(&task.header),
+            step: Step::default(),
+            accelerations: Vec::new(),
+            graph: FrameGraph::default(),
+            trend: Vec::new(),
         });
         Ok(())
     }
@@ -160,32 +182,39 @@ impl Method for LayersNetMethod {
         let Some(mut rolling) = self.rolling.take() else {
             return Err(self.failed(task, frame, "a step before the beginning of a rollout"));
         };
-        let next = states(task, frame);
-        let step = Step::new(&next, &rolling.now, &self.statistics, rolling.gravity);
-        let columns = &self.statistics.vertices;
-        let accelerations = self
-            .predictor
-            .accelerations(columns, &rolling.outfit, &rolling.state, &step)
+        let Rolling {
+            now,
+            next,
+            step,
+            gravity,
+            ..
+        } = &mut rolling;
+        become_states(next, task, frame);
+        step.lead(next, now, &self.statistics, *gravity);
+        self.predictor
+            .accelerations(&self.statistics.vertices, &mut rolling)
             .map_err(|error| self.failed(task, frame, error))?;
-        let predicted = advance(&rolling.state, &accelerations);
-        for (state, next) in rolling.state.iter_mut().zip(&predicted) {
-            let [a, b, c, d, e, f, ..] = *state;
-            *state = pair(next, &[a, b, c, d, e, f]);
-        }
-        let garments = absolute(&predicted, &rolling.outfit, &next);
-        rolling.now = next;
+        advance_pairs(&mut rolling.state, &rolling.accelerations);
+        std::mem::swap(&mut rolling.now, &mut rolling.next);
+        let garments = absolute(&rolling.state, &rolling.outfit, &rolling.now);
         self.rolling = Some(rolling);
         Ok(garments)
     }
 }
 
 fn states(task: &Task, frame: usize) -> FrameStates {
+    let mut states = FrameStates::default();
+    become_states(&mut states, task, frame);
+    states
+}
+
+fn become_states(states: &mut FrameStates, task: &Task, frame: usize) {
     let older = |by: usize| frame.checked_sub(by).map(|older| &task.frames[older]);
-    FrameStates::new(&task.frames[frame], older(1), older(2))
+    states.become_those_of(&task.frames[frame], older(1), older(2));
 }
 
 /// `[garment][vertex, 3]` in the world.
-fn absolute(states: &[State], outfit: &Outfit, frame: &FrameStates) -> Vec<Positions> {
+fn absolute(states: &[StatePair], outfit: &Outfit, frame: &FrameStates) -> Vec<Positions> {
     let root = frame.root;
     outfit
         .garment_offsets

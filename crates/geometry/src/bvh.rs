@@ -119,27 +119,6 @@ impl Bvh {
         Self::build(&boxes)
     }
 
-    /// Takes new boxes of the same items over and keeps the tree's shape: far
-    /// cheaper than building, and nearly as good while neighbours stay neighbours.
-    /// Items that were left out when the tree was built stay out.
-    pub fn refit(&mut self, boxes: &[Aabb]) {
-        for (item_box, &item) in self.boxes.iter_mut().zip(&self.items) {
-            *item_box = boxes[item as usize];
-        }
-        // Children come after their parents.
-        for index in (0..self.nodes.len()).rev() {
-            let Node { first, count, .. } = self.nodes[index];
-            self.nodes[index].aabb = if count == 0 {
-                let (left, right) = (&self.nodes[index + 1], &self.nodes[first as usize]);
-                left.aabb.union(&right.aabb)
-            } else {
-                let range = first as usize..(first + count) as usize;
-                let union = |union: Aabb, item: &Aabb| union.union(item);
-                self.boxes[range].iter().fold(Aabb::EMPTY, union)
-            };
-        }
-    }
-
     /// Box around all items, [`Aabb::EMPTY`] without items.
     pub fn bounds(&self) -> Aabb {
         self.nodes.first().map_or(Aabb::EMPTY, |node| node.aabb)
@@ -244,25 +223,5 @@ mod tests {
             assert_eq!(found, expected);
         }
         assert_eq!(Bvh::build(&[]).bounds(), Aabb::EMPTY);
-    }
-
-    #[test]
-    fn a_refitted_tree_finds_what_a_new_one_finds() {
-        let at = |t: f32| -> Vec<Aabb> {
-            let place = |i: u16| [1.3f32, 2.9, 0.7].map(|f| (f32::from(i) * f + t).sin() * 5.0);
-            (0..200).map(|i| Aabb::of(&[place(i)]).grown(0.4)).collect()
-        };
-        let mut tree = Bvh::build(&at(0.0));
-        tree.refit(&at(0.8));
-        for query in at(0.4) {
-            let mut found = Vec::new();
-            tree.overlapping(&query, |item| found.push(item));
-            found.sort_unstable();
-            let boxes = at(0.8);
-            let expected: Vec<u32> = (0..200)
-                .filter(|&i| boxes[i as usize].overlaps(&query))
-                .collect();
-            assert_eq!(found, expected);
-        }
     }
 }

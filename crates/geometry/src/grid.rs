@@ -19,8 +19,8 @@ const MIN_CELLS: usize = 64;
 /// (a handful of roundings of 6e-8 each).
 const SLACK: f64 = 1e-5;
 
-/// Points in cells.
-#[derive(Clone, Debug)]
+/// Points in cells; by default none.
+#[derive(Clone, Debug, Default)]
 pub struct Grid {
     low: [f64; 3],
     cell: f64,
@@ -41,15 +41,7 @@ impl Grid {
     /// # Panics
     /// If `cell` is not positive and finite.
     pub fn build(points: &[[f32; 3]], cell: f32) -> Self {
-        let mut grid = Self {
-            low: [0.0; 3],
-            cell: 1.0,
-            dims: [1; 3],
-            starts: Vec::new(),
-            points: Vec::new(),
-            indices: Vec::new(),
-            cells: Vec::new(),
-        };
+        let mut grid = Self::default();
         grid.rebuild(points, cell);
         grid
     }

@@ -23,20 +23,31 @@ pub fn face_normals(positions: &[[f32; 3]], faces: &[[u32; 3]]) -> Vec<[f32; 3]>
 
 /// Unit normals of vertices, `[vertex, 3]`.
 pub fn vertex_normals(positions: &[[f32; 3]], faces: &[[u32; 3]]) -> Vec<[f32; 3]> {
-    let mut sums = vec![[0.0f32; 3]; positions.len()];
+    let mut normals = Vec::new();
+    vertex_normals_again(positions, faces, &mut normals);
+    normals
+}
+
+/// [`vertex_normals`] into a buffer that is kept from call to call.
+pub fn vertex_normals_again(
+    positions: &[[f32; 3]],
+    faces: &[[u32; 3]],
+    normals: &mut Vec<[f32; 3]>,
+) {
+    normals.clear();
+    normals.resize(positions.len(), [0.0; 3]);
     for face in faces {
         let normal = face_normal(face.map(|v| positions[v as usize]));
         for &vertex in face {
-            add(&mut sums[vertex as usize], normal);
+            add(&mut normals[vertex as usize], normal);
         }
     }
-    for normal in &mut sums {
+    for normal in normals {
         *normal = unit(*normal);
     }
-    sums
 }
 
-/// [`vertex_normals`] into buffers that are kept from call to call: `by_face`
+/// [`vertex_normals_again`] for a mesh whose incidence is known: `by_face`
 /// receives the face normals, `by_vertex` the vertex normals; the same bits.
 ///
 /// # Panics

@@ -94,10 +94,19 @@ impl Blocks {
         parameters: &Parameters,
         store: &GradStore,
     ) -> Result<BTreeMap<String, Tensor>> {
+        match store.get(&self.weights) {
+            Some(gradient) => self.by_name(parameters, gradient),
+            None => Ok(BTreeMap::new()),
+        }
+    }
+
+    /// Gradients by name from that of the arranged weights.
+    pub(crate) fn by_name(
+        &self,
+        parameters: &Parameters,
+        gradient: &Tensor,
+    ) -> Result<BTreeMap<String, Tensor>> {
         let mut all = BTreeMap::new();
-        let Some(gradient) = store.get(&self.weights) else {
-            return Ok(all);
-        };
         let mut start = 0;
         for index in 0..self.count {
             let names = Names::new(index);
@@ -119,14 +128,6 @@ impl Blocks {
         Ok(all)
     }
 
-    /// Patches' states `[P, 128]` after the last block.
-    ///
-    /// # Errors
-    /// If tokens do not fit the edges.
-    pub fn patches(&self, tokens: &Tokens, edges: &Arc<Edges>) -> Result<Tensor> {
-        self.apply(tokens, edges, Ends::Patches)
-    }
-
     /// All that comes out of the last block.
     ///
     /// # Errors
@@ -143,15 +144,24 @@ impl Blocks {
 
     fn apply(&self, tokens: &Tokens, edges: &Arc<Edges>, ends: Ends) -> Result<Tensor> {
         let all = Tensor::cat(&[&tokens.state, &tokens.receiver, &tokens.sender], 0)?;
-        let stack = Stack {
+        Ok(apply(&all, &self.weights, self.stack(edges, ends))?)
+    }
+
+    /// The blocks over a frame's edges.
+    pub(crate) fn stack(&self, edges: &Arc<Edges>, ends: Ends) -> Stack {
+        Stack {
             edges: edges.clone(),
             blocks: self.count,
             own_slots: self.own_slots,
             ends,
             keep: self.trainable,
             transposes: self.transposes.clone(),
-        };
-        Ok(apply(&all, &self.weights, stack)?)
+        }
+    }
+
+    /// One block's weights behind the other's, in the kernel's order.
+    pub(crate) fn weights(&self) -> &Tensor {
+        &self.weights
     }
 }
 

@@ -12,17 +12,18 @@
 
 use std::sync::Arc;
 
-use drape_dataset::patches::Csr;
+use drape_dataset::patches::{Csr, Patches};
 use drape_dataset::sample::{Outfit, StatePair, Step};
 use drape_dataset::statistics::{Motion, Trend};
 use drape_geometry::grid::Grid;
-use drape_geometry::normals::vertex_normals;
+use drape_geometry::normals::vertex_normals_again;
+use rayon::prelude::*;
 
 use crate::config::{BodySlots, ForceFrames, ModelConfig};
 use crate::error::{ModelError, Result};
 use crate::frames::{IDENTITY, Matrix, frame, rotate, unit};
 use crate::kernels::attention::Edges;
-use crate::kernels::for_all_with;
+use crate::kernels::{fit, for_all_with};
 
 /// Body vertices a patch sees at most.
 const BODY_SLOTS: usize = 16;
@@ -65,7 +66,7 @@ pub struct Slot {
 }
 
 /// Discrete structure of one frame.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct FrameGraph {
     /// Mean raw state of each patch.
     pub patch_states: Vec<StatePair>,
@@ -87,24 +88,93 @@ pub struct FrameGraph {
     pub own_patch: Vec<u32>,
     /// Vertex mass of each patch's garment.
     pub patch_masses: Vec<f32>,
+    room: Room,
 }
 
 /// Items that one thread derives at a time.
 const PIECE: usize = 64;
 
-/// `work(i)` of every `i < count`, with room for what a grid finds.
+/// What a grid finds.
+type Found = Vec<(u32, f32)>;
+
+/// `work(i)` of every `i < count` into `all`, with room for what a grid finds.
 fn each<R: Clone + Default + Send>(
+    all: &mut Vec<R>,
     count: usize,
-    work: impl Fn(usize, &mut Vec<(u32, f32)>) -> R + Send + Sync,
-) -> Vec<R> {
-    let mut all = vec![R::default(); count];
-    let pieces = all.chunks_mut(PIECE).enumerate().collect();
-    for_all_with(pieces, |found, (piece, all): (usize, &mut [R])| {
-        for (index, to) in (piece * PIECE..).zip(all) {
-            *to = work(index, found);
-        }
-    });
-    all
+    work: impl Fn(usize, &mut Found) -> R + Send + Sync,
+) {
+    let pieces = fit(all, count).par_chunks_mut(PIECE).enumerate();
+    for_all_with(
+        pieces,
+        |found: &mut Found, (piece, all): (usize, &mut [R])| {
+            for (index, to) in (piece * PIECE..).zip(all) {
+                *to = work(index, found);
+            }
+        },
+    );
+}
+
+/// Lists of any length, put together piece by piece.
+#[derive(Clone, Debug)]
+struct Lists<I>(Vec<Piece<I>>);
+
+/// [`PIECE`] lists one behind the other, and where each ends.
+#[derive(Clone, Debug)]
+struct Piece<I> {
+    items: Vec<I>,
+    ends: Vec<usize>,
+}
+
+impl<I> Default for Lists<I> {
+    fn default() -> Self {
+        Self(Vec::new())
+    }
+}
+
+impl<I: Send> Lists<I> {
+    /// `work(i)` adds the items of list i, of `count` lists.
+    fn fill(&mut self, count: usize, work: impl Fn(usize, &mut Found, &mut Vec<I>) + Send + Sync) {
+        self.0.resize_with(count.div_ceil(PIECE), || Piece {
+            items: Vec::new(),
+            ends: Vec::new(),
+        });
+        let pieces = self.0.par_iter_mut().enumerate();
+        for_all_with(pieces, |found: &mut Found, (piece, to)| {
+            to.items.clear();
+            to.ends.clear();
+            for index in piece * PIECE..count.min((piece + 1) * PIECE) {
+                work(index, found, &mut to.items);
+                to.ends.push(to.items.len());
+            }
+        });
+    }
+
+    fn iter(&self) -> impl Iterator<Item = &[I]> {
+        self.0.iter().flat_map(|piece| {
+            let mut start = 0;
+            let ends = piece.ends.iter();
+            ends.map(move |&end| &piece.items[std::mem::replace(&mut start, end)..end])
+        })
+    }
+}
+
+/// What a frame's structure is derived in; its memory serves the next frame.
+#[derive(Clone, Debug, Default)]
+struct Room {
+    centres: Vec<[f32; 3]>,
+    body: Vec<[f32; 3]>,
+    normals: Vec<[f32; 3]>,
+    body_frames: Vec<Matrix>,
+    layer_grid: Grid,
+    body_grid: Grid,
+    world: Lists<u32>,
+    body_slots: Lists<(u32, u32)>,
+    patch_nearest: Vec<Option<(u32, bool)>>,
+    patch_sight: Vec<Option<Sight>>,
+    vertex_sight: Vec<Option<Sight>>,
+    vertex_nearest: Vec<Option<u32>>,
+    row_of: Vec<u32>,
+    kept: Vec<[Option<u32>; PATCHES_PER_VERTEX]>,
 }
 
 fn position(state: &StatePair) -> [f32; 3] {
@@ -118,18 +188,19 @@ fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
 
 /// Mean state of each patch's members.
 pub fn patch_means<const N: usize>(members: &Csr, states: &[[f32; N]]) -> Vec<[f32; N]> {
-    members
-        .iter()
-        .map(|vertices| {
-            let mut sum = [0f32; N];
-            for &vertex in vertices {
-                for (sum, value) in sum.iter_mut().zip(&states[vertex as usize]) {
-                    *sum += value;
-                }
+    means(members, states).collect()
+}
+
+fn means<const N: usize>(members: &Csr, states: &[[f32; N]]) -> impl Iterator<Item = [f32; N]> {
+    members.iter().map(|vertices| {
+        let mut sum = [0f32; N];
+        for &vertex in vertices {
+            for (sum, value) in sum.iter_mut().zip(&states[vertex as usize]) {
+                *sum += value;
             }
-            sum.map(|value| value / (vertices.len() as f32 + EPSILON))
-        })
-        .collect()
+        }
+        sum.map(|value| value / (vertices.len() as f32 + EPSILON))
+    })
 }
 
 /// Body slots of a patch: `(token vertex, repeats)`.
@@ -137,23 +208,21 @@ fn body_slots(
     config: &ModelConfig,
     centre: [f32; 3],
     grid: &Grid,
-    found: &mut Vec<(u32, f32)>,
-) -> Vec<(u32, u32)> {
+    found: &mut Found,
+    slots: &mut Vec<(u32, u32)>,
+) {
     match config.body_slots {
         BodySlots::Nearest => {
             grid.k_nearest(centre, BODY_SLOTS, config.body_radius, found);
-            found.iter().map(|&(vertex, _)| (vertex, 1)).collect()
+            slots.extend(found.iter().map(|&(vertex, _)| (vertex, 1)));
         }
         BodySlots::FirstByIndex => {
             grid.within(centre, config.body_radius, found);
             found.truncate(BODY_SLOTS);
             let repeats = 1 + (BODY_SLOTS - found.len()) as u32;
             let count = |slot| if slot == 0 { repeats } else { 1 };
-            found
-                .iter()
-                .enumerate()
-                .map(|(slot, &(vertex, _))| (vertex, count(slot)))
-                .collect()
+            let found = found.iter().enumerate();
+            slots.extend(found.map(|(slot, &(vertex, _))| (vertex, count(slot))));
         }
     }
 }
@@ -191,15 +260,17 @@ fn see(
     })
 }
 
-fn csr_of(rows: &[Vec<u32>]) -> Csr {
-    let mut offsets = vec![0u32];
-    for row in rows {
-        offsets.push(offsets.last().expect("not empty") + row.len() as u32);
-    }
-    Csr {
-        offsets,
-        items: rows.concat(),
-    }
+/// Begins lists anew.
+fn start(list: &mut Csr) {
+    list.offsets.clear();
+    list.offsets.push(0);
+    list.items.clear();
+}
+
+/// Adds a list of items.
+fn push_row(list: &mut Csr, items: impl IntoIterator<Item = u32>) {
+    list.items.extend(items);
+    list.offsets.push(list.items.len() as u32);
 }
 
 impl FrameGraph {
@@ -213,79 +284,104 @@ impl FrameGraph {
         state: &[StatePair],
         step: &Step,
     ) -> Result<Self> {
+        let mut graph = Self::default();
+        graph.derive(config, outfit, state, step)?;
+        Ok(graph)
+    }
+
+    /// [`FrameGraph::new`] in the memory of an earlier frame's structure.
+    ///
+    /// # Errors
+    /// As [`FrameGraph::new`]; what the graph then holds means nothing.
+    pub fn derive(
+        &mut self,
+        config: &ModelConfig,
+        outfit: &Outfit,
+        state: &[StatePair],
+        step: &Step,
+    ) -> Result<()> {
         check(outfit, state, step)?;
         let patches = &outfit.patches;
-        let patch_states = patch_means(&patches.members, state);
-        let centres: Vec<[f32; 3]> = patch_states.iter().map(position).collect();
-        let body: Vec<[f32; 3]> = step.body.iter().map(position).collect();
-        let senders = patches.count() + outfit.attributes.len();
-
-        let layer_grid = Grid::build(&centres, config.layer_radius);
-        let mesh = each(patches.count(), |patch, _| {
-            let attributes = outfit.patch_attributes.row(patch).iter();
-            let attributes = attributes.map(|&a| a + patches.count() as u32);
-            let neighbours = patches.neighbours.row(patch).iter().copied();
-            neighbours.chain(attributes).collect::<Vec<u32>>()
-        });
-        let world = each(patches.count(), |patch, found| {
+        let count = patches.count();
+        let Room {
+            centres,
+            body,
+            normals,
+            body_frames,
+            layer_grid,
+            body_grid: grid,
+            world,
+            body_slots: slots_of_patch,
+            patch_nearest,
+            patch_sight,
+            vertex_sight,
+            vertex_nearest,
+            row_of,
+            kept,
+        } = &mut self.room;
+        refill(&mut self.patch_states, means(&patches.members, state));
+        refill(centres, self.patch_states.iter().map(position));
+        refill(body, step.body.iter().map(position));
+        let (centres, body) = (&*centres, &*body);
+        layer_grid.rebuild(centres, config.layer_radius);
+        world.fill(count, |patch, found, items| {
             let neighbours = patches.neighbours.row(patch);
             layer_grid.within(centres[patch], config.layer_radius, found);
             let far = |&(q, _): &(u32, f32)| neighbours.binary_search(&q).is_err().then_some(q);
-            found.iter().filter_map(far).collect::<Vec<u32>>()
+            items.extend(found.iter().filter_map(far));
         });
 
         // Body tokens, and anchors of patches and vertices.
-        let has_body = !body.is_empty();
-        let mut body_rows: Vec<u32> = Vec::new();
-        let mut slots_of_patch: Vec<Vec<(u32, u32)>> = vec![Vec::new(); patches.count()];
-        let mut patch_nearest: Vec<Option<(u32, bool)>> = vec![None; patches.count()];
-        let mut patch_sight: Vec<Option<Sight>> = vec![None; patches.count()];
-        let mut vertex_sight: Vec<Option<Sight>> = vec![None; state.len()];
-        let mut vertex_nearest: Vec<Option<u32>> = vec![None; state.len()];
-        let mut body_frames: Vec<Matrix> = Vec::new();
-        let mut token_rotations: Vec<Matrix> = Vec::new();
-        let mut row_of = vec![u32::MAX; body.len()];
-        if has_body {
-            let normals = vertex_normals(&body, &outfit.body_faces);
-            body_frames = each(body.len(), |vertex, _| {
+        let body_rows = &mut self.body_rows;
+        body_rows.clear();
+        refill(patch_nearest, std::iter::repeat_n(None, count));
+        refill(patch_sight, std::iter::repeat_n(None, count));
+        refill(vertex_sight, std::iter::repeat_n(None, state.len()));
+        refill(vertex_nearest, std::iter::repeat_n(None, state.len()));
+        refill(row_of, std::iter::repeat_n(u32::MAX, body.len()));
+        body_frames.clear();
+        if body.is_empty() {
+            slots_of_patch.fill(count, |_, _, _| ());
+        } else {
+            vertex_normals_again(body, &outfit.body_faces, normals);
+            each(body_frames, body.len(), |vertex, _| {
                 frame(normals[vertex], config.frame_axis)
             });
-            let grid = Grid::build(&body, config.body_radius);
-            slots_of_patch = each(patches.count(), |patch, found| {
-                body_slots(config, centres[patch], &grid, found)
+            grid.rebuild(body, config.body_radius);
+            let grid = &*grid;
+            slots_of_patch.fill(count, |patch, found, slots| {
+                body_slots(config, centres[patch], grid, found, slots);
             });
-            body_rows = slots_of_patch
-                .iter()
-                .flatten()
-                .map(|&(vertex, _)| vertex)
-                .collect();
+            body_rows.extend(slots_of_patch.iter().flatten().map(|&(vertex, _)| vertex));
             body_rows.sort_unstable();
             body_rows.dedup();
-            token_rotations = body_rows
-                .iter()
-                .map(|&vertex| body_frames[vertex as usize])
-                .collect();
             let reach = |p: [f32; 3]| {
                 (grid.nearest_within(p, config.body_radius)).map(|(vertex, _)| vertex)
             };
-            patch_nearest = each(patches.count(), |patch, _| match reach(centres[patch]) {
-                Some(vertex) => Some((vertex, true)),
-                None if config.distant_patch_body => {
-                    (grid.nearest(centres[patch])).map(|(vertex, _)| (vertex, false))
+            each(patch_nearest, count, |patch, _| {
+                match reach(centres[patch]) {
+                    Some(vertex) => Some((vertex, true)),
+                    None if config.distant_patch_body => {
+                        (grid.nearest(centres[patch])).map(|(vertex, _)| (vertex, false))
+                    }
+                    None => None,
                 }
-                None => None,
             });
             if config.patch_sight > 0.0 {
-                let bounds = bounds(&body);
-                let see = |point| see(&grid, &body, &bounds, point, config.patch_sight);
-                patch_sight = each(patches.count(), |patch, _| see(centres[patch]));
+                let bounds = bounds(body);
+                let see = |point| see(grid, body, &bounds, point, config.patch_sight);
+                each(patch_sight, count, |patch, _| see(centres[patch]));
                 if config.trend {
-                    vertex_sight = each(state.len(), |vertex, _| see(position(&state[vertex])));
+                    each(vertex_sight, state.len(), |vertex, _| {
+                        see(position(&state[vertex]))
+                    });
                 }
             }
-            vertex_nearest = each(state.len(), |vertex, _| reach(position(&state[vertex])));
+            each(vertex_nearest, state.len(), |vertex, _| {
+                reach(position(&state[vertex]))
+            });
         }
-        let body_tokens = body_rows.len();
+        self.body_tokens = body_rows.len();
         for (row, &vertex) in body_rows.iter().enumerate() {
             row_of[vertex as usize] = row as u32;
         }
@@ -296,80 +392,75 @@ impl FrameGraph {
                 body_rows.push(vertex);
             }
         }
-        let vertex_anchors: Vec<Anchor> = vertex_nearest
-            .iter()
-            .zip(vertex_sight)
-            .map(|(nearest, sight)| match *nearest {
-                Some(vertex) => Anchor {
-                    row: Some(row_of[vertex as usize]),
-                    frame: body_frames[vertex as usize],
-                    sight,
-                },
-                None => Anchor {
-                    row: None,
-                    frame: IDENTITY,
-                    sight,
-                },
-            })
-            .collect();
-        let patch_anchors = patch_nearest
-            .iter()
-            .zip(patch_sight)
-            .map(|(nearest, sight)| match *nearest {
-                Some((vertex, within)) => Anchor {
-                    row: Some(row_of[vertex as usize]),
-                    frame: if within {
-                        body_frames[vertex as usize]
-                    } else {
-                        IDENTITY
-                    },
-                    sight,
-                },
-                None => Anchor {
-                    row: None,
-                    frame: IDENTITY,
-                    sight,
-                },
-            })
-            .collect();
+        let anchor = |nearest: Option<(u32, bool)>, sight| Anchor {
+            row: nearest.map(|(vertex, _)| row_of[vertex as usize]),
+            frame: match nearest {
+                Some((vertex, true)) => body_frames[vertex as usize],
+                _ => IDENTITY,
+            },
+            sight,
+        };
+        let sights = vertex_nearest.iter().zip(&*vertex_sight);
+        refill(
+            &mut self.vertex_anchors,
+            sights.map(|(nearest, &sight)| anchor(nearest.map(|vertex| (vertex, true)), sight)),
+        );
+        let sights = patch_nearest.iter().zip(&*patch_sight);
+        refill(
+            &mut self.patch_anchors,
+            sights.map(|(&nearest, &sight)| anchor(nearest, sight)),
+        );
 
         // Wind and gravity are always there: they also carry the root's motion.
-        token_rotations.extend(force_frames(config, step));
-        let (mut body_lists, mut body_log_count) = (Vec::new(), Vec::new());
-        for slots in &slots_of_patch {
-            let mut list: Vec<u32> = slots
-                .iter()
-                .map(|&(vertex, _)| row_of[vertex as usize])
-                .collect();
-            body_log_count.extend(slots.iter().map(|&(_, repeats)| (repeats as f32).ln()));
-            list.extend([body_tokens as u32, body_tokens as u32 + 1]);
-            body_log_count.extend([0.0, 0.0]);
-            body_lists.push(list);
+        let edges = Arc::make_mut(&mut self.edges);
+        edges.senders = count + outfit.attributes.len();
+        let (tokens, forces) = (self.body_tokens as u32, force_frames(config, step));
+        let seen = self.body_rows[..self.body_tokens].iter();
+        let seen = seen.map(|&vertex| body_frames[vertex as usize]);
+        refill(&mut edges.rotations, seen.chain(forces));
+        [&mut edges.mesh, &mut edges.world, &mut edges.body]
+            .into_iter()
+            .for_each(start);
+        for patch in 0..count {
+            let attributes = outfit.patch_attributes.row(patch).iter();
+            let attributes = attributes.map(|&a| a + count as u32);
+            let neighbours = patches.neighbours.row(patch).iter().copied();
+            push_row(&mut edges.mesh, neighbours.chain(attributes));
+        }
+        for items in world.iter() {
+            push_row(&mut edges.world, items.iter().copied());
+        }
+        edges.body_log_count.clear();
+        for slots in slots_of_patch.iter() {
+            let seen = slots.iter().map(|&(vertex, _)| row_of[vertex as usize]);
+            push_row(&mut edges.body, seen.chain([tokens, tokens + 1]));
+            let counts = slots.iter().map(|&(_, repeats)| (repeats as f32).ln());
+            edges.body_log_count.extend(counts.chain([0.0, 0.0]));
         }
 
-        let own_patch: Vec<u32> = patches.of_vertex.iter().map(|all| all[0]).collect();
-        let (slots, slot_offsets) = decoder_slots(patches, &own_patch, state, &centres);
-        let edges = Edges {
-            mesh: csr_of(&mesh),
-            world: csr_of(&world),
-            body: csr_of(&body_lists),
-            body_log_count,
-            rotations: token_rotations,
-            senders,
-        };
-        Ok(Self {
-            patch_states,
-            edges: Arc::new(edges),
-            body_rows,
-            body_tokens,
-            vertex_anchors,
-            patch_anchors,
-            slots,
-            slot_offsets,
-            own_patch,
-            patch_masses: (0..patches.count()).map(|p| outfit.mass(p)).collect(),
-        })
+        refill(&mut self.patch_masses, (0..count).map(|p| outfit.mass(p)));
+        let own_patch = &mut self.own_patch;
+        refill(own_patch, patches.of_vertex.iter().map(|all| all[0]));
+        each(kept, state.len(), |vertex, candidates| {
+            let (own, x) = (own_patch[vertex], position(&state[vertex]));
+            decoder_patches(patches, own, x, centres, candidates)
+        });
+        self.slots.clear();
+        refill(&mut self.slot_offsets, [0]);
+        for (vertex, kept) in (0u32..).zip(kept) {
+            let kept = kept.iter().flatten();
+            let slots = kept.map(|&patch| Slot { vertex, patch });
+            self.slots.extend(slots);
+            self.slot_offsets.push(self.slots.len() as u32);
+        }
+        Ok(())
     }
+}
+
+/// Other items into a list's memory.
+pub(crate) fn refill<I>(list: &mut Vec<I>, items: impl IntoIterator<Item = I>) {
+    list.clear();
+    list.extend(items);
 }
 
 impl FrameGraph {
@@ -413,20 +504,35 @@ impl FrameGraph {
     /// What a trend adds to the accelerations: of each vertex relative to its own patch, then of
     /// each patch, `[N + P]` in units/frame².
     pub fn trend(&self, trend: &Trend, state: &[StatePair], step: &Step) -> Vec<[f32; 3]> {
+        let mut all = Vec::new();
+        self.trend_again(trend, state, step, &mut all);
+        all
+    }
+
+    /// [`FrameGraph::trend`] into a buffer that is kept from call to call.
+    pub fn trend_again(
+        &self,
+        trend: &Trend,
+        state: &[StatePair],
+        step: &Step,
+        all: &mut Vec<[f32; 3]>,
+    ) {
+        let (vertices, patches) =
+            fit(all, state.len() + self.patch_states.len()).split_at_mut(state.len());
         if *trend == Trend::default() {
-            return vec![[0.0; 3]; state.len() + self.patch_states.len()];
+            vertices.fill([0.0; 3]);
+            patches.fill([0.0; 3]);
+            return;
         }
-        let patches = each(self.patch_states.len(), |patch, _| {
+        for (patch, to) in patches.iter_mut().enumerate() {
             let (state, anchor) = (&self.patch_states[patch], &self.patch_anchors[patch]);
-            trend.acceleration(&self.motion(patch, anchor, state, step))
-        });
-        let mut all = each(state.len(), |vertex, _| {
+            *to = trend.acceleration(&self.motion(patch, anchor, state, step));
+        }
+        for (vertex, to) in vertices.iter_mut().enumerate() {
             let whole = trend.acceleration(&self.vertex_motion(vertex, &state[vertex], step));
             let own = patches[self.own_patch[vertex] as usize];
-            [0, 1, 2].map(|axis| whole[axis] - own[axis])
-        });
-        all.extend(patches);
-        all
+            *to = [0, 1, 2].map(|axis| whole[axis] - own[axis]);
+        }
     }
 }
 
@@ -440,33 +546,25 @@ pub(crate) fn turned(state: &StatePair, anchor: &Anchor) -> StatePair {
     out
 }
 
-fn decoder_slots(
-    patches: &drape_dataset::patches::Patches,
-    own_patch: &[u32],
-    state: &[StatePair],
+/// Patches that a vertex at `x` takes its motion from.
+fn decoder_patches(
+    patches: &Patches,
+    own: u32,
+    x: [f32; 3],
     centres: &[[f32; 3]],
-) -> (Vec<Slot>, Vec<u32>) {
-    let of_vertex = each(own_patch.len(), |vertex, candidates| {
-        let (own, x) = (own_patch[vertex], position(&state[vertex]));
-        let neighbours = patches.neighbours.row(own as usize).iter();
-        candidates.clear();
-        candidates.extend(neighbours.map(|&q| (q, distance(centres[q as usize], x))));
-        candidates.sort_unstable_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
-        candidates.truncate(PATCHES_PER_VERTEX);
-        let mut kept = [None; PATCHES_PER_VERTEX];
-        for (kept, &(q, from_vertex)) in kept.iter_mut().zip(candidates.iter()) {
-            let nearer = from_vertex < distance(centres[q as usize], centres[own as usize]);
-            *kept = (q == own || nearer).then_some(q);
-        }
-        kept
-    });
-    let (mut slots, mut offsets) = (Vec::new(), vec![0u32]);
-    for (vertex, kept) in (0u32..).zip(of_vertex) {
-        let kept = kept.into_iter().flatten();
-        slots.extend(kept.map(|patch| Slot { vertex, patch }));
-        offsets.push(slots.len() as u32);
+    candidates: &mut Found,
+) -> [Option<u32>; PATCHES_PER_VERTEX] {
+    let neighbours = patches.neighbours.row(own as usize).iter();
+    let from_vertex = neighbours.map(|&q| (q, distance(centres[q as usize], x)));
+    refill(candidates, from_vertex);
+    candidates.sort_unstable_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
+    candidates.truncate(PATCHES_PER_VERTEX);
+    let mut kept = [None; PATCHES_PER_VERTEX];
+    for (kept, &(q, from_vertex)) in kept.iter_mut().zip(candidates.iter()) {
+        let nearer = from_vertex < distance(centres[q as usize], centres[own as usize]);
+        *kept = (q == own || nearer).then_some(q);
     }
-    (slots, offsets)
+    kept
 }
 
 fn force_frames(config: &ModelConfig, step: &Step) -> [Matrix; 2] {

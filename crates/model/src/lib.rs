@@ -8,17 +8,20 @@
 pub mod block;
 mod config;
 mod error;
+mod evaluation;
 pub mod frames;
 mod graph;
 pub mod kernels;
 mod layersnet;
 pub mod parameters;
+mod pass;
 pub mod reference;
 
 pub use config::{
     BodyMessages, BodySlots, ForceFrames, FrameAxis, GravitySource, ModelConfig, OutputScale,
 };
 pub use error::{ModelError, Result};
+pub use evaluation::{Evaluation, ForwardSeconds, Prediction};
 pub use graph::{Anchor, FrameGraph, Slot, patch_means};
-pub use layersnet::{ForwardSeconds, LayersNet, Prediction};
+pub use layersnet::LayersNet;
 pub use parameters::Parameters;

@@ -29,10 +29,10 @@ use drape_dataset::statistics::ColumnStatistics;
 
 use crate::config::{BodyMessages, ModelConfig, OutputScale};
 use crate::error::Result;
+use crate::evaluation::{ForwardSeconds, Prediction};
 use crate::frames::Matrix;
 use crate::graph::{FrameGraph, turned};
 use crate::kernels::attention::{Edges, GROUPS, HEAD, WIDTH};
-use crate::layersnet::{ForwardSeconds, Prediction};
 use crate::parameters::{DECODER_WIDTH, Parameters, group_rotation_name, rotation_name};
 
 /// The published program's EPS.

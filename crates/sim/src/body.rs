@@ -54,6 +54,11 @@ impl Body {
             .collect()
     }
 
+    /// Parent of each joint, `[joint]`; parents come before their children.
+    pub fn joint_parents(&self) -> Vec<Option<usize>> {
+        self.asset.parents.clone()
+    }
+
     /// The joint of a CMU name such as `LeftForeArm`.
     ///
     /// # Errors

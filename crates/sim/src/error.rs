@@ -1,7 +1,5 @@
 //! The crate's one error type: what, where, expected, found, what to do.
 
-use drape_dataset::sequence::Intersections;
-
 /// Result of this crate's functions.
 pub type Result<T, E = SimError> = std::result::Result<T, E>;
 
@@ -32,6 +30,22 @@ pub enum SimError {
         /// What is wrong with it.
         reason: String,
     },
+    /// A file with a motion is not what it should be.
+    #[error(
+        "{}{}: expected {expected}, found {found}; a BVH file as the CMU recordings have it works",
+        path.display(),
+        if *line > 0 { format!(", line {line}") } else { String::new() }
+    )]
+    MotionFile {
+        /// The file.
+        path: std::path::PathBuf,
+        /// Line, from 1; 0 for the file as a whole.
+        line: usize,
+        /// What should be there.
+        expected: String,
+        /// What is there.
+        found: String,
+    },
     /// Whoever started the simulation asked it to stop.
     #[error("stopped at frame {frame}, as asked")]
     Stopped {
@@ -47,21 +61,6 @@ pub enum SimError {
         vertex: usize,
         /// The coordinates.
         found: [f32; 3],
-    },
-    /// Too few frames are free of intersections.
-    #[error(
-        "frame {frame}: {} hits between garments, {} within garments, {} with the body; expected the first {needed} of {of} frames clean",
-        found.between_garments, found.within_garments, found.with_body
-    )]
-    NotClean {
-        /// First recorded frame that is not clean.
-        frame: usize,
-        /// What was counted in it.
-        found: Intersections,
-        /// Recorded frames.
-        of: usize,
-        /// How many of them have to be clean.
-        needed: usize,
     },
     /// There is no Blender to simulate with.
     #[error(

@@ -2,13 +2,15 @@
 //! welded seams and flat panels, in outfits whose layers nest.
 
 mod anatomy;
+mod cuts;
 mod field;
 mod flatten;
 mod outfit;
+mod parameters;
 mod pattern;
 mod remesh;
 mod sections;
 mod surface;
 
 pub use outfit::{METRES_PER_UV, Outfit, OutfitRequest, fitting_pose};
-pub use pattern::GarmentParameters;
+pub use parameters::GarmentParameters;

@@ -4,17 +4,20 @@
 //! as JSON in the sequence it made, so that the engine can repeat it with other
 //! settings.
 
-mod clean;
+mod cut_range;
 mod effects;
 mod in_blender;
+mod quality;
 mod ranges;
 mod recipe;
 mod simulate;
 mod wind;
 
+pub use cut_range::CutRange;
 pub use effects::active_effects;
 pub use in_blender::simulate_in_blender;
-pub use ranges::SceneRanges;
-pub use recipe::{Recipe, RecipeGarment};
+pub use quality::Quality;
+pub use ranges::{SceneRanges, Units};
+pub use recipe::{BodyGap, Recipe, RecipeGarment};
 pub use simulate::{Progress, simulate};
 pub use wind::{WindPivot, wind_at};

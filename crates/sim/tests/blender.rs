@@ -3,8 +3,9 @@
 
 use std::ops::ControlFlow;
 
+use drape_dataset::SequenceReader;
 use drape_dataset::registry::{Effect, GarmentKind};
-use drape_dataset::sequence::{Frame, SequenceHeader};
+use drape_dataset::sequence::{Frame, Intersections, SequenceHeader};
 use drape_sim::SimError;
 use drape_sim::blender::{Blender, BlenderSettings};
 use drape_sim::motion::LeadIn;
@@ -204,22 +205,33 @@ mod stand_in {
         );
     }
 
-    #[test]
-    fn frames_with_intersections_are_not_kept_in_silence() {
-        // The skirt's last vertices are put where the pants' first ones are.
-        let dirty = written_by(
+    /// The skirt's last vertices are put where the pants' first ones are.
+    fn crossing() -> String {
+        written_by(
             "size=$(wc -c < \"$2/cloth_rest.f32\"); third=$((size / 36 * 12)); rest=$((size - third))
             (head -c $rest \"$2/cloth_rest.f32\"; head -c $third \"$2/cloth_rest.f32\")",
-        );
-        let error = run(&dirty).unwrap_err();
+        )
+    }
+
+    /// All vertices in one place, 48.6 units along each axis: nothing crosses.
+    fn clear() -> String {
+        all_bytes("102")
+    }
+
+    #[test]
+    fn intersections_are_counted_in_every_frame() {
+        let (_, frames) = run(&crossing()).unwrap();
+        assert_eq!(frames.len(), recipe().frames);
         assert!(
-            matches!(error, SimError::NotClean { frame: 0, .. }),
-            "{error}"
+            frames
+                .iter()
+                .all(|f| f.intersections.unwrap() != Intersections::default())
         );
     }
 
     const TINY: &str = "frames = 3
-        attempts = 1
+        attempts = 2
+        keep_share = 0.6
         [scene]
         outfits = [[\"pants\", \"skirt\"]]
         outfit_vertices = 500.0
@@ -229,10 +241,15 @@ mod stand_in {
         ";
 
     fn generate(python: &std::path::Path, out: &std::path::Path) -> Output {
+        generate_with(python, out, &[])
+    }
+
+    fn generate_with(python: &std::path::Path, out: &std::path::Path, more: &[&str]) -> Output {
         fs::write(out.with_extension("toml"), TINY).unwrap();
         Command::new(env!("CARGO_BIN_EXE_drape-generate"))
             .env("DRAPE_BLENDER_PYTHON", python)
             .args(["--engine", "blender", "--sequences", "2", "--threads", "1"])
+            .args(more)
             .arg("--config")
             .arg(out.with_extension("toml"))
             .arg("--out")
@@ -246,32 +263,96 @@ mod stand_in {
         String::from_utf8_lossy(&text).into_owned()
     }
 
+    /// The first `count` starts do `first`, those after them `then`; all are counted.
+    fn first_starts(count: usize, first: &str, then: &str) -> String {
+        format!(
+            "count=\"${{0%/*}}/count\"; echo x >> \"$count\"
+            if [ $(wc -l < \"$count\") -le {count} ]; then\n{first}\nelse\n{then}\nfi"
+        )
+    }
+
+    fn starts(folder: &TempDir) -> usize {
+        let counted = fs::read_to_string(folder.path().join("count")).unwrap();
+        counted.lines().count()
+    }
+
     #[test]
     fn generate_reports_what_fails_keeps_the_rest_and_goes_on_where_it_was() {
-        // The second start fails, the others do not.
-        let once = "count=\"${0%/*}/count\"; echo x >> \"$count\"
-            if [ $(wc -l < \"$count\") = 2 ]; then echo 'a bad day' >&2; exit 1; fi\n";
-        // All vertices in one place, 48.6 units along each axis: nothing crosses.
-        let far = all_bytes("102");
-        let (folder, path) = blender(&format!("{once}{far}"));
+        // Both draws of the first sequence fail, all else does not.
+        let fails = "echo 'a bad day' >&2; exit 1";
+        let (folder, path) = blender(&first_starts(2, fails, &clear()));
         let out = folder.path().join("data");
         let first = generate(&path, &out);
         let said = printed(&first);
         assert!(!first.status.success(), "{said}");
+        assert!(said.contains("a bad day"), "{said}");
         assert!(
-            said.contains("a bad day") && said.contains("1 of 2"),
+            said.contains("1 of 2 (0 were there already, 1 failed)"),
             "{said}"
         );
         let again = generate(&path, &out);
         let said = printed(&again);
         assert!(again.status.success(), "{said}");
         assert!(said.contains("2 of 2 (1 were there already"), "{said}");
-        let starts = fs::read_to_string(folder.path().join("count")).unwrap();
-        assert_eq!(
-            starts.lines().count(),
-            3,
-            "a finished sequence is not made again"
+        assert_eq!(starts(&folder), 4, "a finished sequence is not made again");
+    }
+
+    #[test]
+    fn generate_draws_what_is_not_clean_again_and_reports_the_share_accepted() {
+        let (folder, path) = blender(&first_starts(1, &crossing(), &clear()));
+        let out = folder.path().join("data");
+        let output = generate(&path, &out);
+        let said = printed(&output);
+        assert!(output.status.success(), "{said}");
+        assert!(
+            said.contains("attempt 1: intersections in frame 0"),
+            "{said}"
         );
+        assert!(said.contains("1 of 2 at the first draw, 50.0 %"), "{said}");
+        assert!(said.contains("6 of 6, none with"), "{said}");
+        assert_eq!(starts(&folder), 3);
+    }
+
+    #[test]
+    fn generate_keeps_no_sequence_that_is_never_clean() {
+        let (folder, path) = blender(&crossing());
+        let out = folder.path().join("data");
+        let output = generate(&path, &out);
+        let said = printed(&output);
+        assert!(!output.status.success(), "{said}");
+        assert!(said.contains("0 of 2"), "{said}");
+        assert_eq!(fs::read_dir(&out).unwrap().count(), 0, "{said}");
+    }
+
+    #[test]
+    fn generate_cuts_before_an_intersection_that_comes_late_enough() {
+        // Frame 8 is the last of three recorded ones; two are needed.
+        let (folder, path) = blender(&format!(
+            "{}\n{}",
+            clear().replace("7 8;", "7;"),
+            crossing().replace("1 2 3 4 5 6 7 8;", "8;")
+        ));
+        let out = folder.path().join("data");
+        let said = printed(&generate(&path, &out));
+        assert!(said.contains("4 of 6, none with"), "{said}");
+        let reader = SequenceReader::open(out.join("train_0000.mcap")).unwrap();
+        assert_eq!(reader.frame_count(), 2);
+        let warnings = reader.header().scene.warnings.join("; ");
+        assert!(warnings.contains("2 of 3 frames are kept"), "{warnings}");
+    }
+
+    #[test]
+    fn generate_does_not_time_effects_in_blender() {
+        let (folder, path) = blender(&clear());
+        let out = folder.path().join("data");
+        let output = generate_with(&path, &out, &["--profile"]);
+        let said = printed(&output);
+        assert!(!output.status.success(), "{said}");
+        assert!(
+            said.contains("--profile: expected --engine drape"),
+            "{said}"
+        );
+        assert!(!out.exists());
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use drape_dataset::random::stream;
 use drape_sim::body::{Body, Shape};
 use drape_sim::garment::fitting_pose;
-use drape_sim::motion::{LeadIn, Motion};
+use drape_sim::motion::{LeadIn, Motion, MotionFamily, keep_clear};
 use glam::DVec3;
 
 #[test]
@@ -14,7 +14,7 @@ fn motions_start_still_stay_on_the_ground_and_move_like_a_person() {
     let lead = LeadIn { still: 3, ease: 25 };
     let fps = 30.0;
     for number in 0..24 {
-        let motion = Motion::sample(&mut stream(number, "motion"));
+        let motion = MotionFamily::Mixed.sample(&mut stream(number, "motion"));
         let poses = motion.poses(&body, &shaped, &rest, fps, lead, 48).unwrap();
         assert_eq!(poses.len(), 76);
         let start = shaped.pose(&rest);
@@ -63,7 +63,7 @@ fn half_the_pace_takes_twice_the_frames() {
     let rest = fitting_pose(&body, &shaped).unwrap();
     let lead = LeadIn { still: 0, ease: 0 };
     for number in 0..6 {
-        let brisk = Motion::sample(&mut stream(number, "motion"));
+        let brisk = MotionFamily::Mixed.sample(&mut stream(number, "motion"));
         let slow = brisk.clone().at_pace(0.5);
         let poses =
             |motion: &Motion, frames| motion.poses(&body, &shaped, &rest, 30.0, lead, frames);
@@ -75,5 +75,78 @@ fn half_the_pace_takes_twice_the_frames() {
             }
         }
         assert_ne!(brisk[1].rotations, slow[1].rotations);
+    }
+}
+
+#[test]
+fn every_family_is_smooth_faster_than_calm_ones_may_be_and_lands_on_the_ground() {
+    let body = Body::load().unwrap();
+    let shaped = body.shaped(&Shape::default());
+    let rest = fitting_pose(&body, &shaped).unwrap();
+    let lead = LeadIn { still: 0, ease: 25 };
+    let fps = 30.0;
+    for family in MotionFamily::SINGLE {
+        for seed in 0..2 {
+            let motion = family.sample(&mut stream(seed, "family"));
+            let again = family.sample(&mut stream(seed, "family"));
+            assert_eq!(motion, again, "{family:?}");
+            let poses = motion.poses(&body, &shaped, &rest, fps, lead, 75).unwrap();
+            let bodies: Vec<_> = poses.iter().map(|pose| shaped.pose(pose)).collect();
+            let lowest = |positions: &Vec<[f32; 3]>| {
+                let heights = positions.iter().map(|p| p[2]);
+                heights.fold(f32::INFINITY, f32::min)
+            };
+            let heights: Vec<f32> = bodies.iter().map(lowest).collect();
+            assert!(
+                heights.iter().all(|z| *z > -1.2),
+                "{family:?}, seed {seed}: {heights:?}"
+            );
+            let touches = heights.iter().any(|z| z.abs() < 0.8);
+            assert!(touches, "{family:?}, seed {seed}: {heights:?}");
+            let at = |frame: usize, v: usize| DVec3::from(bodies[frame][v].map(f64::from)) / 10.0;
+            let (mut fastest, mut hardest) = (0.0f64, 0.0f64);
+            for frame in 1..bodies.len() - 1 {
+                for v in (0..body.vertex_count()).step_by(7) {
+                    let (a, b, c) = (at(frame - 1, v), at(frame, v), at(frame + 1, v));
+                    fastest = fastest.max(0.5 * (c - a).length() * fps);
+                    hardest = hardest.max((c - 2.0 * b + a).length() * fps * fps);
+                }
+            }
+            // A kicking foot reaches 8 m/s, a fist that turns back 150 m/s².
+            assert!(
+                (0.2..9.0).contains(&fastest),
+                "{family:?}: {fastest} m/s: {motion:?}"
+            );
+            assert!(hardest < 160.0, "{family:?}: {hardest} m/s²: {motion:?}");
+        }
+    }
+}
+
+#[test]
+fn arms_that_hang_into_the_hips_are_turned_away_smoothly_and_the_rest_pose_stays() {
+    let body = Body::load().unwrap();
+    let shaped = body.shaped(&Shape::default());
+    let rest = fitting_pose(&body, &shaped).unwrap();
+    let lead = LeadIn { still: 4, ease: 20 };
+    let motion = Motion {
+        arms_down_deg: 50.0,
+        ..Motion::default()
+    };
+    let plain = motion.poses(&body, &shaped, &rest, 30.0, lead, 10).unwrap();
+    let gap = 0.2;
+    let mut poses = plain.clone();
+    let found = keep_clear(&body, &shaped, &mut poses, lead.still, gap).unwrap();
+    assert!(!found.turned.is_empty(), "the arms are in the hips");
+    assert!(found.tight.is_empty(), "{found:?}");
+    assert_eq!(poses[..4], plain[..4], "still frames stay as they are");
+    let mut once_more = poses.clone();
+    let nothing = keep_clear(&body, &shaped, &mut once_more, lead.still, gap).unwrap();
+    assert!(nothing.turned.is_empty(), "what is clear is left alone");
+    assert_eq!(once_more, poses);
+    for pair in poses.windows(2) {
+        for (a, b) in pair[0].rotations.iter().zip(&pair[1].rotations) {
+            let turn = a.angle_between(*b).to_degrees();
+            assert!(turn < 9.0, "{turn}° from one frame to the next");
+        }
     }
 }

@@ -34,9 +34,10 @@ pub struct TrainConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Schedule {
-    /// Epochs. Default 10.
+    /// Epochs. Default 6.
     pub epochs: usize,
-    /// Draws of one epoch. More: better, longer. Default 420.
+    /// Draws of one epoch. Default 200: with 420 and ten epochs the default data's held-out error is
+    /// 1 % lower overall and a tenth higher on skirts (`experiments/LOG.md`).
     pub samples_per_epoch: usize,
     /// Samples whose gradients are averaged for one update. Default 4.
     pub batch: usize,
@@ -50,7 +51,7 @@ pub struct Schedule {
     /// uses up to min(e, this). Default 9.
     pub max_steps_without_gradient: usize,
     /// Largest smooth shift of a sample's start state, see [`crate::sway`], in units.
-    /// Default 0.3; the published program: 0.
+    /// Default 0.03; the published program: 0.
     pub sway: f32,
     /// First frame a sample may start from; two older frames are its history. Default 2.
     pub first_frame: usize,
@@ -59,14 +60,14 @@ pub struct Schedule {
 impl Default for Schedule {
     fn default() -> Self {
         Self {
-            epochs: 10,
-            samples_per_epoch: 420,
+            epochs: 6,
+            samples_per_epoch: 200,
             batch: 4,
             learning_rate: 1e-3,
             halve_every_epochs: 2,
             warm_up_epochs: 1,
             max_steps_without_gradient: 9,
-            sway: 0.1,
+            sway: 0.03,
             first_frame: 2,
         }
     }

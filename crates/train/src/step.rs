@@ -10,7 +10,7 @@ use std::time::Instant;
 use drape_dataset::sample::{Sample, State, StatePair, pair};
 use drape_dataset::statistics::ColumnStatistics;
 use drape_model::parameters::is_idle;
-use drape_model::{LayersNet, Parameters, Prediction};
+use drape_model::{Evaluation, LayersNet, Parameters};
 
 use crate::adam::Gradients;
 use crate::error::Result;
@@ -23,11 +23,22 @@ pub fn advance(states: &[StatePair], accelerations: &[f32]) -> Vec<State> {
     states
         .iter()
         .zip(accelerations.chunks_exact(3))
-        .map(|(s, a)| {
-            let v = [0, 1, 2].map(|axis| a[axis] + s[3 + axis]);
-            [v[0] + s[0], v[1] + s[1], v[2] + s[2], v[0], v[1], v[2]]
-        })
+        .map(|(s, a)| moved(s, a))
         .collect()
+}
+
+/// [`advance`] in place: the states become the predicted ones, with those they were before.
+pub fn advance_pairs(states: &mut [StatePair], accelerations: &[f32]) {
+    for (state, a) in states.iter_mut().zip(accelerations.chunks_exact(3)) {
+        let older: State = std::array::from_fn(|column| state[column]);
+        *state = pair(&moved(&older, a), &older);
+    }
+}
+
+/// `[pos, vel]` after a step.
+fn moved(s: &[f32], a: &[f32]) -> State {
+    let v = [0, 1, 2].map(|axis| a[axis] + s[3 + axis]);
+    [v[0] + s[0], v[1] + s[1], v[2] + s[2], v[0], v[1], v[2]]
 }
 
 /// State fed to the gradient step: the reference before step `switch`, predictions from there on.
@@ -41,15 +52,16 @@ pub fn roll_in(
     switch: usize,
 ) -> Result<Vec<StatePair>> {
     let mut state = sample.state.clone();
+    let mut accelerations = Vec::new();
     for (k, step) in sample.steps[..sample.steps.len() - 1].iter().enumerate() {
-        let next = if k < switch {
-            sample.reference[k].clone()
+        if k < switch {
+            for (state, next) in state.iter_mut().zip(&sample.reference[k]) {
+                *state = pair(next, &std::array::from_fn(|column| state[column]));
+            }
         } else {
-            let prediction = net.forward(&sample.outfit, statistics, &state, step)?;
-            advance(&state, &prediction.acceleration.flatten_all()?.to_vec1()?)
-        };
-        for (state, next) in state.iter_mut().zip(&next) {
-            *state = pair(next, &std::array::from_fn(|column| state[column]));
+            let evaluation = net.evaluate(&sample.outfit, statistics, &state, step)?;
+            evaluation.accelerations(&mut accelerations);
+            advance_pairs(&mut state, &accelerations);
         }
     }
     Ok(state)
@@ -75,8 +87,8 @@ pub struct SampleGradient {
     pub losses: LossValues,
     /// Gradient of every weight that influences the loss, without the orthogonality regulariser.
     pub gradients: Gradients,
-    /// What the network predicted.
-    pub prediction: Prediction,
+    /// What the network says about the sample's last step.
+    pub evaluation: Evaluation,
     /// Seconds of the losses, and of the backward pass.
     pub seconds: [f64; 2],
 }
@@ -95,20 +107,13 @@ pub fn sample_gradient(
     with_collisions: bool,
 ) -> Result<SampleGradient> {
     let step = sample.steps.last().expect("a sample has a step");
-    let prediction = net.forward(&sample.outfit, statistics, state, step)?;
+    let mut evaluation = net.evaluate(&sample.outfit, statistics, state, step)?;
     let started = Instant::now();
-    let dtype = prediction.acceleration.dtype();
-    let values = |tensor: &candle_core::Tensor| -> Result<Vec<f32>> {
-        Ok(tensor
-            .to_dtype(candle_core::DType::F32)?
-            .flatten_all()?
-            .to_vec1()?)
-    };
-    let predicted = integrate(state, &values(&prediction.acceleration)?);
-    let patches = integrate(
-        &prediction.graph.patch_states,
-        &values(&prediction.patch_acceleration)?,
-    );
+    let mut accelerations = Vec::new();
+    evaluation.accelerations(&mut accelerations);
+    let predicted = integrate(state, &accelerations);
+    evaluation.patch_accelerations(&mut accelerations);
+    let patches = integrate(&evaluation.graph().patch_states, &accelerations);
     let reference = &target(losses.return_frames, sample, state);
     let (weight, discount) = (losses.position, losses.stray_discount);
     let (mut losses, mut by_vertex, mut by_patch) = all_terms(
@@ -144,29 +149,17 @@ pub fn sample_gradient(
     }
     let losses_s = started.elapsed().as_secs_f64();
     let started = Instant::now();
-    // The losses' gradients are known, so a linear form with these coefficients
-    // carries them into the graph.
-    let form = |output: &candle_core::Tensor,
-                gradient: &[[f64; 3]]|
-     -> Result<candle_core::Tensor> {
-        let flat: Vec<f64> = gradient.as_flattened().to_vec();
-        let coefficients = candle_core::Tensor::from_vec(flat, output.shape(), output.device())?
-            .to_dtype(dtype)?;
-        Ok((output * coefficients)?.sum_all()?)
-    };
-    let total = (form(&prediction.acceleration, &by_vertex)?
-        + form(&prediction.patch_acceleration, &by_patch)?)?;
-    let store = total.backward()?;
     let mut gradients = Gradients::new();
-    for (name, gradient) in net.gradients(parameters, &store)? {
+    for (name, gradient) in net.gradients(parameters, &mut evaluation, &by_vertex, &by_patch)? {
         if !is_idle(&name, net.config()) {
-            gradients.insert(name, values(&gradient)?);
+            let gradient = gradient.to_dtype(candle_core::DType::F32)?;
+            gradients.insert(name, gradient.flatten_all()?.to_vec1()?);
         }
     }
     Ok(SampleGradient {
         losses,
         gradients,
-        prediction,
+        evaluation,
         seconds: [losses_s, started.elapsed().as_secs_f64()],
     })
 }

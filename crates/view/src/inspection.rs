@@ -1,9 +1,10 @@
 //! What a sequence file holds, and whether it can be believed, as text.
 //!
 //! Reading already proves the checksums, shapes and finite numbers of every
-//! frame; here each frame is read once and the rest is checked on top: stored
-//! intersections against a recount on some frames, sizes and speeds against
-//! what fits a person, rest meshes against defects. Memory: two frames.
+//! frame; here each frame is read once and the rest is checked on top: bytes that
+//! reading never uses, stored intersections against a recount on some frames,
+//! sizes and speeds against what fits a person, rest meshes against defects.
+//! Memory: two frames.
 
 use std::fmt;
 
@@ -62,7 +63,7 @@ impl Inspection {
                 Err(error) => survey.unreadable.push(error.to_string()),
             }
         }
-        let mut checks = vec![survey.readable(reader.frame_count())];
+        let mut checks = vec![every_byte(reader), survey.readable(reader.frame_count())];
         checks.push(rest_meshes(header));
         checks.push(survey.size(header));
         checks.push(survey.speed());
@@ -328,6 +329,18 @@ impl Survey {
     }
 }
 
+fn every_byte(reader: &SequenceReader) -> Check {
+    let (outcome, detail) = match reader.check_bytes() {
+        Ok(()) => (Outcome::Ok, "as it was written".into()),
+        Err(error) => (Outcome::Failed, error.to_string()),
+    };
+    Check {
+        name: "every byte",
+        outcome,
+        detail,
+    }
+}
+
 fn rest_meshes(header: &SequenceHeader) -> Check {
     let name = "rest meshes";
     let mut found = Vec::new();
@@ -380,6 +393,7 @@ fn contents(reader: &SequenceReader) -> Vec<String> {
             "units     {} per metre; one UV unit is {} m",
             scene.scale, scene.metres_per_uv
         ),
+        format!("storage   {}", reader.storage()),
         format!(
             "engine    {} {}, seed {}",
             scene.engine, scene.engine_version, scene.seed

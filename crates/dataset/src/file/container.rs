@@ -7,26 +7,45 @@
 //! are never used.
 
 use std::fs::File;
+use std::io;
 use std::path::Path;
 
-use mcap::records::{ChunkIndex, MessageHeader, Record, op};
+use mcap::records::op;
 use prost::bytes::Bytes;
 
-use super::PROTOBUF;
 use super::positional::read_at;
+use super::records::{ChunkPlace, MessageHead, RECORD_HEAD, Record, next_record};
+use super::{MessageKind, PROTOBUF};
 use crate::error::{DatasetError, Result};
 
-/// Opcode and length before each record.
-const RECORD_HEAD: usize = 9;
+/// Head of an uncompressed chunk: record head, two times, size, CRC, empty
+/// name of a compression, size again.
+pub(super) const CHUNK_HEAD: usize = RECORD_HEAD + 8 + 8 + 8 + 4 + 4 + 8;
+/// How much is hashed at once.
+const BLOCK: u64 = 1 << 20;
+/// End of the data section: record head, CRC of all before it.
+const DATA_END: usize = RECORD_HEAD + 4;
 /// Footer record: head, summary start, summary offset start, CRC.
 const FOOTER: usize = RECORD_HEAD + 8 + 8 + 4;
 
+#[derive(Debug)]
+struct Channel {
+    id: u16,
+    schema_id: u16,
+    topic: String,
+    encoding: String,
+}
+
 /// The file's index, from the summary section at its end.
+#[derive(Debug)]
 pub(super) struct Summary {
-    channels: Vec<mcap::records::Channel>,
-    schemas: Vec<mcap::records::SchemaHeader>,
+    channels: Vec<Channel>,
+    /// Ids and names.
+    schemas: Vec<(u16, String)>,
     /// Chunks in the file's order.
-    pub(super) chunks: Vec<ChunkIndex>,
+    pub(super) chunks: Vec<ChunkPlace>,
+    /// Where the data section ends and the summary begins.
+    pub(super) start: u64,
 }
 
 impl Summary {
@@ -54,6 +73,7 @@ impl Summary {
         let truncated = |reason: &str| DatasetError::Truncated {
             path: path.into(),
             reason: format!("{reason} ({size} bytes are there)"),
+            saveable: String::new(),
         };
         let tail_len = FOOTER + magic.len();
         if size < (magic.len() + tail_len) as u64 {
@@ -64,12 +84,11 @@ impl Summary {
         if tail[FOOTER..] != *magic {
             return Err(truncated("the end mark and the index are missing"));
         }
-        let Ok(Record::Footer(footer)) = mcap::parse_record(op::FOOTER, &tail[RECORD_HEAD..FOOTER])
-        else {
+        let Some(Record::Footer { summary_start, crc }) = next_record(&mut &tail[..FOOTER]) else {
             return Err(truncated("the footer is missing"));
         };
-        if footer.summary_start == 0 || footer.summary_start > footer_start {
-            let found = format!("an offset of {}", footer.summary_start);
+        if summary_start == 0 || summary_start > footer_start {
+            let found = format!("an offset of {}", summary_start);
             return Err(corrupt(
                 path,
                 "the footer",
@@ -77,34 +96,53 @@ impl Summary {
                 found,
             ));
         }
-        let length = (footer_start - footer.summary_start) as usize;
-        let summary = read(footer.summary_start, length)?;
-        let mut crc = crc32fast::Hasher::new();
-        crc.update(&summary);
-        crc.update(&tail[..FOOTER - 4]);
-        check_crc(path, "the index", footer.summary_crc, crc.finalize())?;
+        let length = (footer_start - summary_start) as usize;
+        let summary = read(summary_start, length)?;
+        let mut computed = crc32fast::Hasher::new();
+        computed.update(&summary);
+        computed.update(&tail[..FOOTER - 4]);
+        check_crc(path, "the index", crc, computed.finalize())?;
 
         let mut index = Self {
             channels: Vec::new(),
             schemas: Vec::new(),
             chunks: Vec::new(),
+            start: summary_start,
         };
         let mut rest = summary.as_slice();
         while !rest.is_empty() {
             match next_record(&mut rest) {
-                Some(Record::Channel(channel)) => index.channels.push(channel),
-                Some(Record::Schema { header, .. }) => index.schemas.push(header),
+                Some(Record::Channel {
+                    id,
+                    schema_id,
+                    topic,
+                    encoding,
+                }) => index.channels.push(Channel {
+                    id,
+                    schema_id,
+                    topic: topic.to_owned(),
+                    encoding: encoding.to_owned(),
+                }),
+                Some(Record::Schema { id, name }) => index.schemas.push((id, name.to_owned())),
                 Some(Record::ChunkIndex(chunk)) => index.chunks.push(chunk),
                 Some(_) => {}
                 None => return Err(corrupt(path, "the index", "MCAP records", "other bytes")),
             }
         }
-        index.chunks.sort_by_key(|chunk| chunk.chunk_start_offset);
+        index.chunks.sort_by_key(|chunk| chunk.start);
         Ok(index)
     }
 
-    /// Id of the channel of `topic`, which must carry `schema` as protobuf.
-    pub(super) fn channel(&self, path: &Path, topic: &str, schema: &str) -> Result<u16> {
+    /// Whether there is a channel of this topic.
+    pub(super) fn has(&self, kind: &MessageKind) -> bool {
+        self.channels
+            .iter()
+            .any(|channel| channel.topic == kind.topic)
+    }
+
+    /// Id of the channel of a topic, which must carry its schema as protobuf.
+    pub(super) fn channel(&self, path: &Path, kind: &MessageKind) -> Result<u16> {
+        let MessageKind { topic, schema, .. } = *kind;
         let error = |expected: String, found: String| DatasetError::NotASequence {
             path: path.into(),
             expected,
@@ -120,84 +158,147 @@ impl Summary {
         let found = self
             .schemas
             .iter()
-            .find(|header| header.id == channel.schema_id)
-            .map_or("no schema", |header| header.name.as_str());
-        if found != schema || channel.message_encoding != PROTOBUF {
+            .find(|(id, _)| *id == channel.schema_id)
+            .map_or("no schema", |(_, name)| name.as_str());
+        if found != schema || channel.encoding != PROTOBUF {
             return Err(error(
                 format!("{schema} in {PROTOBUF} on {topic}"),
-                format!("{found} in {}", channel.message_encoding),
+                format!("{found} in {}", channel.encoding),
             ));
         }
         Ok(channel.id)
     }
 }
 
+/// Compares the checksum over the data section, which covers every byte before
+/// the summary at `summary_start`; the summary's own was compared when it was read.
+pub(super) fn check_data(path: &Path, file: &File, summary_start: u64) -> Result<()> {
+    let place = "the data section";
+    let end = summary_start.checked_sub(DATA_END as u64);
+    let end = end.ok_or_else(|| corrupt(path, place, "records", "none"))?;
+    let io = DatasetError::io("read", path);
+    let hash = || -> io::Result<(u32, Vec<u8>)> {
+        let mut crc = crc32fast::Hasher::new();
+        let mut at = 0;
+        while at < end {
+            let block = read_at(file, at, (end - at).min(BLOCK) as usize)?;
+            crc.update(&block);
+            at += block.len() as u64;
+        }
+        Ok((crc.finalize(), read_at(file, end, DATA_END)?))
+    };
+    let (computed, last) = hash().map_err(io)?;
+    let head = [op::DATA_END, 4, 0, 0, 0, 0, 0, 0, 0];
+    let (found, stored) = last.split_at(RECORD_HEAD);
+    if found != head {
+        let found = format!("{found:02x?}");
+        return Err(corrupt(
+            path,
+            place,
+            "its end right before the index",
+            found,
+        ));
+    }
+    let stored = stored
+        .try_into()
+        .map(u32::from_le_bytes)
+        .unwrap_or_default();
+    if stored == 0 {
+        return Err(corrupt(path, place, "a CRC", "none"));
+    }
+    check_crc(path, place, stored, computed)
+}
+
 /// Reads the one message of a chunk and compares the chunk's CRC.
 pub(super) fn read_message(
     path: &Path,
     file: &File,
-    chunk: &ChunkIndex,
+    chunk: &ChunkPlace,
     channel: u16,
     place: &str,
-) -> Result<(MessageHeader, Bytes)> {
+) -> Result<(MessageHead, Bytes)> {
     let size = file
         .metadata()
         .map_err(DatasetError::io("read", path))?
         .len();
-    let end = chunk.chunk_start_offset.checked_add(chunk.chunk_length);
-    if chunk.chunk_length < RECORD_HEAD as u64 || end.is_none_or(|end| end > size) {
-        let found = format!(
-            "{} bytes at {}",
-            chunk.chunk_length, chunk.chunk_start_offset
-        );
+    let end = chunk.start.checked_add(chunk.length);
+    if chunk.length < RECORD_HEAD as u64 || end.is_none_or(|end| end > size) {
+        let found = format!("{} bytes at {}", chunk.length, chunk.start);
         return Err(corrupt(path, place, "a chunk inside the file", found));
     }
-    let bytes = read_at(file, chunk.chunk_start_offset, chunk.chunk_length as usize)
+    let bytes = read_at(file, chunk.start, chunk.length as usize)
         .map_err(DatasetError::io("read", path))?;
     let bytes = Bytes::from(bytes);
     let mut rest = &bytes[..];
-    let (Some(Record::Chunk { header, data }), true) = (next_record(&mut rest), rest.is_empty())
+    let (
+        Some(Record::Chunk {
+            crc,
+            compression,
+            records,
+        }),
+        true,
+    ) = (next_record(&mut rest), rest.is_empty())
     else {
         return Err(corrupt(path, place, "one MCAP chunk", "other bytes"));
     };
-    if !header.compression.is_empty() {
+    if !compression.is_empty() {
         return Err(DatasetError::NotASequence {
             path: path.into(),
             expected: "uncompressed chunks".into(),
-            found: format!("compression {:?}", header.compression),
+            found: format!("compression {compression:?}"),
         });
     }
-    check_crc(path, place, header.uncompressed_crc, crc32fast::hash(&data))?;
-    let mut found = None;
-    let mut records: &[u8] = &data;
-    while !records.is_empty() {
-        match next_record(&mut records) {
-            Some(Record::Message { header, data }) if header.channel_id == channel => {
-                if found.replace((header, bytes.slice_ref(&data))).is_some() {
-                    return Err(corrupt(path, place, "one message a chunk", "several"));
-                }
-            }
-            Some(_) => {}
-            None => return Err(corrupt(path, place, "MCAP records", "other bytes")),
-        }
+    check_crc(path, place, crc, crc32fast::hash(records))?;
+    let Some(messages) = messages_in(&bytes, records) else {
+        return Err(corrupt(path, place, "MCAP records", "other bytes"));
+    };
+    let mut messages = messages
+        .into_iter()
+        .filter(|(head, _)| head.channel == channel);
+    let found = messages.next();
+    if messages.next().is_some() {
+        return Err(corrupt(path, place, "one message a chunk", "several"));
     }
     found.ok_or_else(|| corrupt(path, place, "a message", "none"))
 }
 
-/// Takes the first record off `bytes`; `None` when there is none.
-fn next_record<'a>(bytes: &mut &'a [u8]) -> Option<Record<'a>> {
-    let (&opcode, rest) = bytes.split_first()?;
-    let (length, rest) = rest.split_first_chunk::<8>()?;
-    let (body, rest) = rest.split_at_checked(usize::try_from(u64::from_le_bytes(*length)).ok()?)?;
-    *bytes = rest;
-    match opcode {
-        // The parser assumes that an attachment has at least its four CRC bytes.
-        op::ATTACHMENT => Some(Record::Unknown {
-            opcode,
-            data: body.into(),
-        }),
-        _ => mcap::parse_record(opcode, body).ok(),
+/// Messages of an uncompressed chunk; `None` if its structure or its CRC is broken.
+pub(super) fn messages_of_chunk(chunk: &Bytes) -> Option<Vec<(MessageHead, Bytes)>> {
+    let mut rest = &chunk[..];
+    let Record::Chunk {
+        crc,
+        compression,
+        records,
+    } = next_record(&mut rest)?
+    else {
+        return None;
+    };
+    let sound = rest.is_empty() && compression.is_empty() && crc == crc32fast::hash(records);
+    sound.then(|| messages_in(chunk, records))?
+}
+
+/// Messages of the records `data`, which are a part of `chunk`.
+fn messages_in(chunk: &Bytes, data: &[u8]) -> Option<Vec<(MessageHead, Bytes)>> {
+    let mut messages = Vec::new();
+    let mut records = data;
+    while !records.is_empty() {
+        if let Record::Message { head, data } = next_record(&mut records)? {
+            messages.push((head, chunk.slice_ref(data)));
+        }
     }
+    Some(messages)
+}
+
+/// Length of the uncompressed chunk that starts with `head`, if one can start so:
+/// its three sizes must agree, which other bytes hardly do.
+pub(super) fn plausible_chunk(head: &[u8]) -> Option<u64> {
+    let word = |at: usize| Some(u64::from_le_bytes(*head.get(at..)?.first_chunk()?));
+    let (length, size) = (word(1)?, word(RECORD_HEAD + 16)?);
+    let uncompressed = head[RECORD_HEAD + 28..RECORD_HEAD + 32] == [0; 4];
+    let body = length.checked_sub((CHUNK_HEAD - RECORD_HEAD) as u64)?;
+    let sound =
+        head[0] == op::CHUNK && uncompressed && body == size && word(RECORD_HEAD + 32)? == size;
+    sound.then(|| length.checked_add(RECORD_HEAD as u64))?
 }
 
 fn check_crc(path: &Path, place: &str, stored: u32, computed: u32) -> Result<()> {

@@ -5,7 +5,7 @@
 
 use prost::bytes::Bytes;
 
-use super::{FORMAT_MAJOR, FORMAT_MINOR};
+use super::FORMAT_MAJOR;
 use crate::error::{DatasetError, Result};
 use crate::registry::{Effect, GarmentKind};
 use crate::sequence::{
@@ -17,11 +17,11 @@ pub(super) mod proto {
     include!(concat!(env!("OUT_DIR"), "/drape.rs"));
 }
 
-pub(super) fn header_to_message(header: &SequenceHeader) -> proto::SequenceHeader {
+pub(super) fn header_to_message(header: &SequenceHeader, minor: u32) -> proto::SequenceHeader {
     let scene = &header.scene;
     proto::SequenceHeader {
         format_major: FORMAT_MAJOR,
-        format_minor: FORMAT_MINOR,
+        format_minor: minor,
         name: header.name.clone(),
         scene: Some(proto::Scene {
             scale: scene.scale,

@@ -4,13 +4,15 @@ use std::fs::File;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use mcap::records::ChunkIndex;
 use prost::Message;
 use prost::bytes::Bytes;
 
-use super::container::{Summary, corrupt, read_message};
+use super::container::{Summary, check_data, corrupt, read_message};
 use super::messages::{self, proto};
-use super::{FORMAT_MAJOR, FRAME_SCHEMA, FRAME_TOPIC, HEADER_SCHEMA, HEADER_TOPIC};
+use super::quantised::{Dequantiser, MAX_SINCE_KEY, Storage};
+use super::records::ChunkPlace;
+use super::recover::Whole;
+use super::{FORMAT_MAJOR, FRAME, HEADER, QUANTISED_FRAME};
 use crate::error::{DatasetError, Result};
 use crate::sequence::{Frame, SequenceHeader};
 
@@ -23,8 +25,11 @@ pub struct SequenceReader {
     path: PathBuf,
     file: File,
     header: SequenceHeader,
+    storage: Storage,
+    /// Where the data section ends and the summary begins.
+    summary_start: u64,
     frame_channel: u16,
-    frames: Vec<ChunkIndex>,
+    frames: Vec<ChunkPlace>,
 }
 
 impl SequenceReader {
@@ -36,41 +41,59 @@ impl SequenceReader {
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref().to_path_buf();
         let file = File::open(&path).map_err(DatasetError::io("open", &path))?;
-        let summary = Summary::read(&path, &file)?;
-        let header_channel = summary.channel(&path, HEADER_TOPIC, HEADER_SCHEMA)?;
-        let frame_channel = summary.channel(&path, FRAME_TOPIC, FRAME_SCHEMA)?;
+        let summary = Summary::read(&path, &file).map_err(|error| saveable(error, &file))?;
+        let header_channel = summary.channel(&path, &HEADER)?;
+        // A file with neither kind of frames is told of the exact one.
+        let quantised = summary.has(&QUANTISED_FRAME) && !summary.has(&FRAME);
+        let kind = if quantised { &QUANTISED_FRAME } else { &FRAME };
+        let frame_channel = summary.channel(&path, kind)?;
         let mut headers = Vec::new();
         let mut frames = Vec::new();
         for chunk in summary.chunks {
-            if chunk.message_index_offsets.contains_key(&frame_channel) {
+            if chunk.channels.contains(&frame_channel) {
                 frames.push(chunk);
-            } else if chunk.message_index_offsets.contains_key(&header_channel) {
+            } else if chunk.channels.contains(&header_channel) {
                 headers.push(chunk);
             }
         }
         let [header_chunk] = headers.as_slice() else {
             return Err(DatasetError::NotASequence {
                 path,
-                expected: format!("one message on {HEADER_TOPIC}"),
+                expected: format!("one message on {}", HEADER.topic),
                 found: format!("{} chunks with such messages", headers.len()),
             });
         };
         if frames.is_empty() {
             return Err(DatasetError::NotASequence {
                 path,
-                expected: format!("messages on {FRAME_TOPIC}"),
+                expected: format!("messages on {}", kind.topic),
                 found: "none".into(),
             });
         }
         let (_, bytes) = read_message(&path, &file, header_chunk, header_channel, "the header")?;
         let header = decode_header(&path, bytes)?;
-        Ok(Self {
+        let mut reader = Self {
             path,
             file,
             header,
+            storage: Storage::Exact,
+            summary_start: summary.start,
             frame_channel,
             frames,
-        })
+        };
+        if quantised {
+            let max_error_m = reader.message::<proto::QuantisedFrame>(0)?.max_error_m;
+            if !(max_error_m.is_finite() && max_error_m > 0.0) {
+                let found = max_error_m.to_string();
+                return Err(
+                    DatasetError::invalid("max_error_m", "a number above 0", found)
+                        .at("frame 0")
+                        .in_file(&reader.path),
+                );
+            }
+            reader.storage = Storage::Quantised { max_error_m };
+        }
+        Ok(reader)
     }
 
     /// The file.
@@ -88,8 +111,51 @@ impl SequenceReader {
         self.frames.len()
     }
 
+    /// How positions are stored, and how far they may be off.
+    pub fn storage(&self) -> Storage {
+        self.storage
+    }
+
     /// Reads frame `index`, in any order; its checksum and shapes are checked.
+    ///
+    /// Of a quantised file this reads the frames since the last key frame too; frames
+    /// in order come at one read each from [`frames`](Self::frames).
     pub fn frame(&self, index: usize) -> Result<Frame> {
+        self.frame_after(index, &mut Dequantiser::new(&self.header))
+    }
+
+    /// Reads the frames of `range` one after the other.
+    pub fn frames(&self, range: Range<usize>) -> impl Iterator<Item = Result<Frame>> + '_ {
+        let mut last = Dequantiser::new(&self.header);
+        range.map(move |index| self.frame_after(index, &mut last))
+    }
+
+    /// Frame `index`; `last` may hold the frame before, and holds this one afterwards.
+    fn frame_after(&self, index: usize, last: &mut Dequantiser) -> Result<Frame> {
+        let named = |error: DatasetError| {
+            let place = format!("frame {index}");
+            error.at(&place).in_file(&self.path)
+        };
+        if self.storage == Storage::Exact {
+            let message: proto::Frame = self.message(index)?;
+            return messages::frame_from_message(message)
+                .and_then(|frame| frame.check(&self.header).map(|()| frame))
+                .map_err(named);
+        }
+        let message: proto::QuantisedFrame = self.message(index)?;
+        if !last.follows(index, &message) {
+            let since_key = message.since_key.min(MAX_SINCE_KEY) as usize;
+            for before in index.saturating_sub(since_key)..index {
+                last.take(before, &self.message(before)?).map_err(named)?;
+            }
+        }
+        last.take(index, &message)
+            .and_then(|()| last.frame(message))
+            .map_err(named)
+    }
+
+    /// The message of frame `index`, whose checksum and index are right.
+    fn message<M: FrameMessage>(&self, index: usize) -> Result<M> {
         let chunk = self
             .frames
             .get(index)
@@ -101,20 +167,23 @@ impl SequenceReader {
         let place = format!("frame {index}");
         let (head, bytes) =
             read_message(&self.path, &self.file, chunk, self.frame_channel, &place)?;
-        let message = proto::Frame::decode(bytes)
-            .map_err(|error| corrupt(&self.path, &place, "a Frame message", error.to_string()))?;
-        if message.index != index as u64 || head.sequence as usize != index {
-            let found = format!("index {}, sequence {}", message.index, head.sequence);
+        let message = M::decode(bytes)
+            .map_err(|error| corrupt(&self.path, &place, "a frame message", error.to_string()))?;
+        if message.index() != index as u64 || head.sequence as usize != index {
+            let found = format!("index {}, sequence {}", message.index(), head.sequence);
             return Err(corrupt(&self.path, &place, format!("index {index}"), found));
         }
-        messages::frame_from_message(message)
-            .and_then(|frame| frame.check(&self.header).map(|()| frame))
-            .map_err(|error| error.at(&place).in_file(&self.path))
+        Ok(message)
     }
 
-    /// Reads the frames of `range` one after the other.
-    pub fn frames(&self, range: Range<usize>) -> impl Iterator<Item = Result<Frame>> + '_ {
-        range.map(|index| self.frame(index))
+    /// Compares the checksum over all bytes of the file, those that reading never
+    /// uses included: any changed bit is found. Reads the whole file; frames are
+    /// checked against the format's rules as they are read, not here.
+    ///
+    /// # Errors
+    /// Something changed since the file was written, or its writer left the checksum out.
+    pub fn check_bytes(&self) -> Result<()> {
+        check_data(&self.path, &self.file, self.summary_start)
     }
 
     /// Reads all frames into memory.
@@ -123,7 +192,44 @@ impl SequenceReader {
     }
 }
 
-fn decode_header(path: &Path, bytes: Bytes) -> Result<SequenceHeader> {
+/// The two kinds of frames.
+trait FrameMessage: Message + Default {
+    fn index(&self) -> u64;
+}
+
+impl FrameMessage for proto::Frame {
+    fn index(&self) -> u64 {
+        self.index
+    }
+}
+
+impl FrameMessage for proto::QuantisedFrame {
+    fn index(&self) -> u64 {
+        self.index
+    }
+}
+
+/// Says what of a truncated file can be saved.
+fn saveable(error: DatasetError, file: &File) -> DatasetError {
+    let DatasetError::Truncated { path, reason, .. } = error else {
+        return error;
+    };
+    let saveable = match Whole::find(&path, file) {
+        Err(_) => String::new(),
+        Ok(whole) if !whole.saves_something() => format!("; {}", whole.summary()),
+        Ok(whole) => format!(
+            "; {}, `cargo xtask inspect FILE --recover OUT` saves them",
+            whole.summary()
+        ),
+    };
+    DatasetError::Truncated {
+        path,
+        reason,
+        saveable,
+    }
+}
+
+pub(super) fn decode_header(path: &Path, bytes: Bytes) -> Result<SequenceHeader> {
     let undecodable = |error: prost::DecodeError| {
         corrupt(
             path,

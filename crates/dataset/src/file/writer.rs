@@ -8,8 +8,9 @@ use mcap::records::MessageHeader;
 use prost::Message;
 use tempfile::NamedTempFile;
 
+use super::quantised::{Quantiser, Storage};
 use super::{
-    DESCRIPTORS, FRAME_SCHEMA, FRAME_TOPIC, HEADER_SCHEMA, HEADER_TOPIC, PROTOBUF, messages,
+    EXACT_MINOR, FORMAT_MINOR, FRAME, HEADER, MessageKind, PROTOBUF, QUANTISED_FRAME, messages,
 };
 use crate::atomic::{persist, temporary_beside};
 use crate::error::{DatasetError, Result};
@@ -27,6 +28,8 @@ pub struct SequenceWriter {
     header: SequenceHeader,
     path: PathBuf,
     frame_channel: u16,
+    /// None: exact.
+    quantiser: Option<Quantiser>,
     frames: usize,
     /// A write failed: part of a chunk may be in the file, which must not be finished.
     failed: bool,
@@ -39,8 +42,27 @@ impl SequenceWriter {
     /// A header that breaks a rule ([`SequenceHeader::check`]); a folder that
     /// does not exist or cannot be written.
     pub fn create(path: impl AsRef<Path>, header: &SequenceHeader) -> Result<Self> {
+        Self::create_with(path, header, Storage::Exact)
+    }
+
+    /// Like [`create`](Self::create), with another storage of positions.
+    ///
+    /// # Errors
+    /// As [`create`](Self::create); an error that is not above 0; more than 2^24
+    /// vertices in one mesh of a quantised file.
+    pub fn create_with(
+        path: impl AsRef<Path>,
+        header: &SequenceHeader,
+        storage: Storage,
+    ) -> Result<Self> {
         let path = path.as_ref().to_path_buf();
         header.check().map_err(|error| error.in_file(&path))?;
+        let quantiser = match storage {
+            Storage::Exact => None,
+            Storage::Quantised { max_error_m } => {
+                Some(Quantiser::new(header, max_error_m).map_err(|error| error.in_file(&path))?)
+            }
+        };
         let file = temporary_beside(&path)?;
         let mut mcap = mcap::WriteOptions::new()
             .profile("drape")
@@ -50,12 +72,15 @@ impl SequenceWriter {
             .chunk_size(None)
             .create(BufWriter::with_capacity(1 << 20, file))
             .map_err(|error| write_error(&path, error))?;
-        let mut channel = |schema: &str, topic: &str| {
-            let schema = mcap.add_schema(schema, PROTOBUF, DESCRIPTORS)?;
-            mcap.add_channel(schema, topic, PROTOBUF, &BTreeMap::new())
+        let mut channel = |kind: &MessageKind| {
+            let schema = mcap.add_schema(kind.schema, PROTOBUF, kind.descriptors)?;
+            mcap.add_channel(schema, kind.topic, PROTOBUF, &BTreeMap::new())
         };
-        let channels = channel(HEADER_SCHEMA, HEADER_TOPIC)
-            .and_then(|header| Ok((header, channel(FRAME_SCHEMA, FRAME_TOPIC)?)));
+        let (frame_kind, minor) = match storage {
+            Storage::Exact => (&FRAME, EXACT_MINOR),
+            Storage::Quantised { .. } => (&QUANTISED_FRAME, FORMAT_MINOR),
+        };
+        let channels = channel(&HEADER).and_then(|header| Ok((header, channel(frame_kind)?)));
         let (header_channel, frame_channel) =
             channels.map_err(|error| write_error(&path, error))?;
         let mut writer = Self {
@@ -63,10 +88,11 @@ impl SequenceWriter {
             header: header.clone(),
             path,
             frame_channel,
+            quantiser,
             frames: 0,
             failed: false,
         };
-        let message = messages::header_to_message(header).encode_to_vec();
+        let message = messages::header_to_message(header, minor).encode_to_vec();
         writer.write(header_channel, 0, &message)?;
         Ok(writer)
     }
@@ -78,12 +104,15 @@ impl SequenceWriter {
     /// error names frame, garment and vertex; nothing is written and the
     /// writer stays usable), or a failing disk.
     pub fn push(&mut self, frame: &Frame) -> Result<()> {
-        frame.check(&self.header).map_err(|error| {
-            error
-                .at(&format!("frame {}", self.frames))
-                .in_file(&self.path)
-        })?;
-        let message = messages::frame_to_message(self.frames as u64, frame).encode_to_vec();
+        let index = self.frames as u64;
+        let bytes = frame
+            .check(&self.header)
+            .and_then(|()| match &mut self.quantiser {
+                None => Ok(messages::frame_to_message(index, frame).encode_to_vec()),
+                Some(quantiser) => Ok(quantiser.message(index, frame)?.encode_to_vec()),
+            });
+        let place = || format!("frame {index}");
+        let message = bytes.map_err(|error| error.at(&place()).in_file(&self.path))?;
         self.write(self.frame_channel, self.frames, &message)?;
         self.frames += 1;
         Ok(())

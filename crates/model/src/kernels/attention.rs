@@ -24,8 +24,9 @@ use std::sync::Arc;
 
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
 
-use super::{Real, by_dtype, for_all, operand, simd_dispatch, values};
+use super::{Real, by_dtype, fit, for_all, for_all_with, operand, simd_dispatch, values};
 use drape_dataset::patches::Csr;
+use rayon::prelude::*;
 
 /// Channels of one head.
 pub const HEAD: usize = 16;
@@ -110,6 +111,9 @@ type Four<T> = [T; GROUPS];
 
 /// A head of each group: channel c of group g is lane 4 (c mod 4) + g of vector c / 4.
 type Heads<T> = [[T; LANES]; HEAD * GROUPS / LANES];
+
+/// `Wᵀ s` of every body token, axis by axis of each group.
+pub(super) type Projected<T> = Vec<[Four<T>; 3]>;
 
 /// Three axes' numbers of each group, beside each channel.
 type Turn<T> = [[T; LANES]; 3];
@@ -470,24 +474,35 @@ fn project_rows<T: Real>(w: &[Heads<T>; 3], rows: &[T], out: &mut [[Four<T>; 3]]
     }
 }
 
+/// Room for the receivers of the forward pass, one after the other.
+#[derive(Default)]
+struct Room<T> {
+    list: Softmax<T>,
+    values: Vec<[T; LANES]>,
+    turns: Vec<Turn<T>>,
+}
+
 #[inline(always)]
-fn forward_rows<T: Real>(input: &Input<T>, first: usize, out: &mut [T]) {
-    let mut list = Softmax::default();
-    let (mut values, mut turns) = (Vec::new(), Vec::new());
+fn forward_rows<T: Real>(input: &Input<T>, first: usize, room: &mut Room<T>, out: &mut [T]) {
+    let Room {
+        list,
+        values,
+        turns,
+    } = room;
     let w = &input.groups.w;
     for (offset, out) in out.chunks_exact_mut(WIDTH).enumerate() {
         let receiver = first + offset;
         for kind in 0..KINDS {
-            input.list(receiver, kind, &mut list);
+            input.list(receiver, kind, list);
             if list.count == 0 {
                 continue;
             }
-            input.weigh(receiver, kind, &mut list);
+            input.weigh(receiver, kind, list);
             let r = input.heads(receiver, kind);
             // Σ v (r + s) = r Σ v + Σ v s.
-            tile_all(&list.value[..list.body_from * GROUPS], &mut values);
+            tile_all(&list.value[..list.body_from * GROUPS], values);
             let mut all = [T::zero(); LANES];
-            for value in &values {
+            for value in values.iter() {
                 for lane in 0..LANES {
                     all[lane] += value[lane];
                 }
@@ -502,9 +517,9 @@ fn forward_rows<T: Real>(input: &Input<T>, first: usize, out: &mut [T]) {
                 *own = sum;
             }
             if list.body_from < list.count {
-                input.turns(&list, &project(w, r), &mut turns);
+                input.turns(list, &project(w, r), turns);
                 let mut turned = [[T::zero(); GROUPS]; 3];
-                for (entry, t) in (list.body_from..).zip(&turns) {
+                for (entry, t) in (list.body_from..).zip(turns.iter()) {
                     let value = four(&list.value, entry);
                     let (_, o) = input.message(list.rows[entry] - input.first_body(), t);
                     for axis in 0..3 {
@@ -787,7 +802,7 @@ impl<T: Real> Input<'_, T> {
 }
 
 simd_dispatch!(fn run_project => project_rows<T>(w: &[Heads<T>; 3], rows: &[T], out: &mut [[Four<T>; 3]]));
-simd_dispatch!(fn run_forward => forward_rows<T>(input: &Input<T>, first: usize, out: &mut [T]));
+simd_dispatch!(fn run_forward => forward_rows<T>(input: &Input<T>, first: usize, room: &mut Room<T>, out: &mut [T]));
 simd_dispatch!(fn run_backward => backward_part<T>(input: &Input<T>, part: (usize, usize), grad: &[T], out: &mut PartGradient<T>, lifts: &mut Lifts<T>));
 
 impl Attention {
@@ -854,28 +869,36 @@ impl Attention {
         }
     }
 
-    fn body_projected<T: Real>(&self, tokens: &[T], groups: &Groups<T>) -> Vec<[Four<T>; 3]> {
+    fn body_projected<T: Real>(&self, tokens: &[T], groups: &Groups<T>, out: &mut Projected<T>) {
         let first = 2 * self.edges.mesh.rows() + self.edges.senders;
-        let tokens = tokens[first * WIDTH..].chunks(BLOCK_ROWS * WIDTH);
-        let mut out = vec![[[T::zero(); GROUPS]; 3]; self.edges.rotations.len()];
-        let blocks = tokens.zip(out.chunks_mut(BLOCK_ROWS)).collect();
+        let tokens = tokens[first * WIDTH..].par_chunks(BLOCK_ROWS * WIDTH);
+        let out = fit(out, self.edges.rotations.len());
+        let blocks = tokens.zip(out.par_chunks_mut(BLOCK_ROWS));
         for_all(blocks, |(tokens, out): (&[T], &mut [[Four<T>; 3]])| {
             run_project(&groups.w, tokens, out);
         });
-        out
     }
 
     /// Attention's output `[receivers, 128]` from tokens and parameters of [`attend`]; the channels of
-    /// tokens and output are in the order of the passes.
-    pub(super) fn forward<T: Real>(&self, tokens: &[T], parameters: &[T], out: &mut [T]) {
+    /// tokens and output are in the order of the passes. `projected` is room.
+    pub(super) fn forward<T: Real>(
+        &self,
+        tokens: &[T],
+        parameters: &[T],
+        projected: &mut Projected<T>,
+        out: &mut [T],
+    ) {
         let groups = Groups::new(parameters);
-        let projected = self.body_projected(tokens, &groups);
-        let input = self.input(tokens, &groups, &projected);
-        let blocks = out.chunks_mut(BLOCK_ROWS * WIDTH).enumerate().collect();
-        for_all(blocks, |(index, out): (usize, &mut [T])| {
-            out.fill(T::zero());
-            run_forward(&input, index * BLOCK_ROWS, out);
-        });
+        self.body_projected(tokens, &groups, projected);
+        let input = self.input(tokens, &groups, projected);
+        let blocks = out.par_chunks_mut(BLOCK_ROWS * WIDTH).enumerate();
+        for_all_with(
+            blocks,
+            |room: &mut Room<T>, (index, out): (usize, &mut [T])| {
+                out.fill(T::zero());
+                run_forward(&input, index * BLOCK_ROWS, room, out);
+            },
+        );
     }
 
     /// Gradients of tokens and parameters, as [`Attention::forward`] has them.
@@ -884,11 +907,12 @@ impl Attention {
         tokens: &[T],
         parameters: &[T],
         grad: &[T],
+        projected: &mut Projected<T>,
         gradient: &mut Gradient<T>,
     ) {
         let groups = Groups::new(parameters);
-        let projected = self.body_projected(tokens, &groups);
-        let input = self.input(tokens, &groups, &projected);
+        self.body_projected(tokens, &groups, projected);
+        let input = self.input(tokens, &groups, projected);
         let rows = part_rows(input.receivers);
         let senders = self.edges.senders + self.edges.rotations.len();
         let mut pieces = Vec::new();
@@ -899,7 +923,7 @@ impl Attention {
                 pieces.push((first, kind, &grad[first * WIDTH..last * WIDTH], out));
             }
         }
-        for_all(pieces, |(first, kind, grad, out)| {
+        for_all(pieces.into_par_iter(), |(first, kind, grad, out)| {
             let zeroed = |buffer: &mut Vec<T>, len| {
                 buffer.clear();
                 buffer.resize(len, T::zero());
@@ -911,7 +935,7 @@ impl Attention {
                 zeroed(&mut out.parameters, GROUPS * GROUP_PARAMETERS);
                 out.projected.clear();
                 out.projected
-                    .resize(projected.len(), [[T::zero(); GROUPS]; 3]);
+                    .resize(input.body_projected.len(), [[T::zero(); GROUPS]; 3]);
             }
             let mut lifts = Lifts {
                 w: [zeros(); 3],
@@ -1001,7 +1025,7 @@ impl CustomOp2 for Attention {
             let receivers = self.edges.mesh.rows();
             let mut out = vec![<T as num_traits::Zero>::zero(); receivers * WIDTH];
             let tokens = reordered::<T>(operand(s1, l1)?, false);
-            self.forward::<T>(&tokens, operand(s2, l2)?, &mut out);
+            self.forward::<T>(&tokens, operand(s2, l2)?, &mut Vec::new(), &mut out);
             let out = reordered(&out, true);
             Ok((<T as candle_core::WithDType>::to_cpu_storage_owned(out), (receivers, WIDTH).into()))
         })
@@ -1018,7 +1042,7 @@ impl CustomOp2 for Attention {
             let mut gradient = Gradient::default();
             let read = reordered::<T>(&values(tokens)?, false);
             let g = reordered::<T>(&values(grad)?, false);
-            self.backward::<T>(&read, &values(parameters)?, &g, &mut gradient);
+            self.backward::<T>(&read, &values(parameters)?, &g, &mut Vec::new(), &mut gradient);
             let mut d_tokens = vec![<T as num_traits::Zero>::zero(); tokens.elem_count()];
             token_gradient(&gradient, self.edges.mesh.rows(), 0, &mut d_tokens);
             let d_tokens = reordered(&d_tokens, true);

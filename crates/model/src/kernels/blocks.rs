@@ -23,16 +23,17 @@ mod workshop;
 use std::sync::{Arc, Mutex};
 
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
+use rayon::prelude::*;
 
-use self::plan::Plan;
 use self::tile::{Tile, TileGradient};
 use self::weights::{GROUPS_START, LAYERS, NORMS, NORMS_START, OUTPUT, Weights, Which};
-use self::workshop::{Block, Keep, Workshop, fit};
+use self::workshop::Block;
 use super::attention::{Attention, Edges, WIDTH, parameter_gradient};
 use super::product::{add, add_outer, add_rows};
-use super::{by_dtype, for_all, operand, values};
+use super::{Shelved, by_dtype, fit, for_all, operand, recycled, values};
 
 pub use self::weights::{BLOCK_PARAMETERS, Transposes};
+pub(crate) use self::workshop::{Keep, Workshop};
 
 /// What the blocks are applied to and what is asked of them.
 #[derive(Clone, Debug)]
@@ -80,64 +81,79 @@ pub fn apply(tokens: &Tensor, parameters: &Tensor, stack: Stack) -> Result<Tenso
     )
 }
 
-struct Blocks {
+pub(crate) struct Blocks {
     stack: Stack,
     f32s: Mutex<Option<Workshop<f32>>>,
     f64s: Mutex<Option<Workshop<f64>>>,
 }
 
-impl Blocks {
+impl Stack {
     fn attention(&self) -> Attention {
         Attention {
-            edges: self.stack.edges.clone(),
-            own_slots: self.stack.own_slots,
+            edges: self.edges.clone(),
+            own_slots: self.own_slots,
         }
     }
 
+    /// Numbers of Z, R and S.
+    fn token_sizes(&self) -> [usize; 3] {
+        let rows = self.edges.senders + self.edges.rotations.len();
+        [rows, self.edges.mesh.rows(), rows].map(|rows| rows * WIDTH)
+    }
+
     fn check(&self, tokens: &Shape, parameters: &Shape) -> Result<()> {
-        let plan = Plan::new(&self.stack.edges);
         let (rows, width) = tokens.dims2()?;
-        let expected = 2 * plan.rows + plan.patches;
+        let expected = self.token_sizes().iter().sum::<usize>() / WIDTH;
         if rows != expected || width != WIDTH {
             candle_core::bail!(
                 "blocks: tokens [{rows}, {width}], edges expect [{expected}, {WIDTH}]"
             );
         }
-        let count = self.stack.blocks * BLOCK_PARAMETERS;
+        let count = self.blocks * BLOCK_PARAMETERS;
         if parameters.elem_count() != count || count == 0 {
             candle_core::bail!(
                 "blocks: {} weights for {} blocks, expected {count}, at least one block",
                 parameters.elem_count(),
-                self.stack.blocks
+                self.blocks
             );
         }
-        if plan.patches > self.stack.edges.senders {
+        let patches = self.edges.mesh.rows();
+        if patches > self.edges.senders {
             candle_core::bail!(
-                "blocks: {} patches among {} senders: every patch sends too",
-                plan.patches,
-                self.stack.edges.senders
+                "blocks: {patches} patches among {} senders: every patch sends too",
+                self.edges.senders
             );
         }
         self.attention().check_edges()
     }
 
-    fn forward<T: Keep>(&self, tokens: &[T], parameters: &[T]) -> (Vec<T>, Workshop<T>) {
-        let plan = Plan::new(&self.stack.edges);
+    /// What [`apply`] returns, from Z, R and S; what the backward pass needs stays in the workshop.
+    pub(crate) fn forward<T: Keep>(
+        &self,
+        [z, receiver, sender]: [&[T]; 3],
+        parameters: &[T],
+        workshop: &mut Workshop<T>,
+        out: &mut Vec<T>,
+    ) {
         let attention = self.attention();
-        let everything = self.stack.ends == Ends::Everything;
-        let weights = Weights::all(parameters, &self.stack.transposes);
-        let mut workshop = Workshop::<T>::take();
-        let blocks = &mut workshop.blocks;
+        let everything = self.ends == Ends::Everything;
+        let weights = Weights::all(parameters, &self.transposes);
+        let Workshop {
+            plan,
+            blocks,
+            projected,
+            parts,
+            ..
+        } = workshop;
+        plan.lay(&self.edges);
         // Without a backward pass two blocks' buffers serve in turn.
-        let kept = if self.stack.keep {
-            self.stack.blocks
+        let kept = if self.keep {
+            self.blocks
         } else {
-            self.stack.blocks.min(2)
+            self.blocks.min(2)
         };
         blocks.resize_with(kept, Block::default);
-        blocks.iter_mut().for_each(|block| block.fit(&plan));
-        let (z, rest) = tokens.split_at(plan.rows * WIDTH);
-        let (receiver, sender) = rest.split_at(plan.patches * WIDTH);
+        blocks.iter_mut().for_each(|block| block.fit(plan));
         for (tile, rows) in blocks[0].tiles.iter_mut().zip(&plan.tiles) {
             let at = rows.start * WIDTH..rows.end * WIDTH;
             fit(&mut tile.z, at.len()).copy_from_slice(&z[at.clone()]);
@@ -148,22 +164,28 @@ impl Blocks {
             }
             fit(&mut tile.sender, at.len()).copy_from_slice(&sender[at]);
         }
-        let out_rows = match self.stack.ends {
+        let out_rows = match self.ends {
             Ends::Patches => plan.patches,
             Ends::Everything => 2 * plan.rows + plan.patches,
         };
-        let mut out = vec![T::zero(); out_rows * WIDTH];
+        let out = fit(out, out_rows * WIDTH);
         for (index, weights) in weights.iter().enumerate() {
-            let last = index + 1 == self.stack.blocks;
+            let last = index + 1 == self.blocks;
             let count = blocks.len();
             let block = &mut blocks[index % count];
-            let pieces = block
-                .tiles
-                .iter_mut()
-                .zip(plan.cut_tokens(&mut block.tokens))
-                .collect();
-            for_all(pieces, |(tile, tokens)| tile.send(weights, tokens));
-            attention.forward(&block.tokens, weights.groups(), &mut block.attended);
+            let mut places = recycled(std::mem::take(parts));
+            places.extend(plan.cut_three(plan.split_tokens(&mut block.tokens)));
+            for_all(
+                block.tiles.par_iter_mut().zip(places.par_drain(..)),
+                |(tile, tokens): (&mut Tile<T>, [&mut [T]; 3])| tile.send(weights, tokens),
+            );
+            *parts = recycled(places);
+            attention.forward(
+                &block.tokens,
+                weights.groups(),
+                projected,
+                &mut block.attended,
+            );
             // What comes out goes into the next block's tiles, or, of the last, into the output.
             let Block {
                 tokens,
@@ -179,50 +201,31 @@ impl Blocks {
                 }
             };
             if last {
-                let (z, rest) = if everything {
-                    out.split_at_mut(plan.rows * WIDTH)
+                let (z, rest) = out.split_at_mut(out.len().min(plan.rows * WIDTH));
+                let (receiver, sender) = rest.split_at_mut(rest.len().min(plan.patches * WIDTH));
+                let computed = if everything {
+                    tiles.len()
                 } else {
-                    (&mut out[..], Default::default())
+                    plan.receiving()
                 };
-                let z = plan
-                    .cut(z)
-                    .into_iter()
-                    .map(Some)
-                    .chain(std::iter::repeat_with(|| None));
-                let mut pieces = Vec::new();
-                if everything {
-                    let (receiver, sender) = rest.split_at_mut(plan.patches * WIDTH);
-                    let mut receiver = plan.cut(receiver).into_iter();
-                    for ((number, tile), (z, sender)) in
-                        tiles.iter_mut().enumerate().zip(z.zip(plan.cut(sender)))
-                    {
-                        pieces.push((
-                            number,
-                            tile,
-                            z,
-                            Some((receiver.next().unwrap_or_default(), sender)),
-                        ));
-                    }
-                } else {
-                    for ((number, tile), z) in
-                        tiles.iter_mut().enumerate().zip(z).take(plan.receiving())
-                    {
-                        pieces.push((number, tile, z, None));
-                    }
-                }
-                for_all(pieces, |(number, tile, z, memories)| {
-                    let z = z.expect("every tile that is computed has a place in the output");
-                    tile.update(
-                        weights,
-                        part(number),
-                        plan.rows_of(&tokens, number),
-                        z,
-                        memories,
-                    );
-                });
+                let mut places = recycled(std::mem::take(parts));
+                places.extend(plan.cut_three([z, receiver, sender]).take(computed));
+                let pieces = tiles.par_iter_mut().zip(places.par_drain(..)).enumerate();
+                for_all(
+                    pieces,
+                    |(number, (tile, [z, receiver, sender])): (
+                        usize,
+                        (&mut Tile<T>, [&mut [T]; 3]),
+                    )| {
+                        let rows = plan.rows_of(&tokens, number);
+                        let memories = everything.then_some((receiver, sender));
+                        tile.update(weights, part(number), rows, z, memories);
+                    },
+                );
+                *parts = recycled(places);
             } else {
                 let next = &mut blocks[(index + 1) % count];
-                let pieces = tiles.iter_mut().zip(&mut next.tiles).enumerate().collect();
+                let pieces = tiles.par_iter_mut().zip(&mut next.tiles).enumerate();
                 for_all(
                     pieces,
                     |(number, (tile, next)): (usize, (&mut Tile<T>, &mut Tile<T>))| {
@@ -240,26 +243,29 @@ impl Blocks {
                 tiles,
             };
         }
-        (out, workshop)
     }
 
-    /// Gradients of tokens and parameters.
-    fn backward<T: Keep>(
+    /// Gradients of Z, R, S and of the parameters.
+    pub(crate) fn backward<T: Keep>(
         &self,
         parameters: &[T],
         workshop: &mut Workshop<T>,
         grad: &[T],
-    ) -> [Vec<T>; 2] {
-        let plan = Plan::new(&self.stack.edges);
+        [d_z, d_receiver, d_sender]: [&mut [T]; 3],
+        d_parameters: &mut [T],
+    ) {
         let attention = self.attention();
-        let everything = self.stack.ends == Ends::Everything;
-        let weights = Weights::all(parameters, &self.stack.transposes);
-        let mut d_parameters = vec![T::zero(); parameters.len()];
+        let everything = self.ends == Ends::Everything;
+        let weights = Weights::all(parameters, &self.transposes);
+        d_parameters.fill(T::zero());
         let Workshop {
+            plan,
             blocks,
+            projected,
             gradients: tiles,
             attention: d_attention,
             d_attended,
+            parts,
         } = workshop;
         tiles.resize_with(plan.tiles.len(), TileGradient::default);
         fit(d_attended, plan.patches * WIDTH);
@@ -287,8 +293,8 @@ impl Blocks {
                 z.fill(T::zero());
             }
         }
-        for index in (0..self.stack.blocks).rev() {
-            let last = index + 1 == self.stack.blocks;
+        for index in (0..self.blocks).rev() {
+            let last = index + 1 == self.blocks;
             let weights = &weights[index];
             let Block {
                 tokens,
@@ -300,16 +306,13 @@ impl Blocks {
             } else {
                 plan.tiles.len()
             };
-            let mut parts = plan.cut(d_attended).into_iter();
-            let pieces: Vec<_> = tiles
-                .iter_mut()
-                .zip(kept_tiles.iter_mut())
-                .enumerate()
-                .map(|(number, (gradient, tile))| {
-                    (number, gradient, tile, parts.next().unwrap_or_default())
-                })
-                .collect();
-            for_all(pieces, |(number, gradient, tile, part)| {
+            let mut places = recycled(std::mem::take(parts));
+            places.extend(plan.cut(d_attended).map(|part| [part, &mut [], &mut []]));
+            let pieces = (tiles.par_iter_mut().zip(kept_tiles.par_iter_mut()))
+                .zip(places.par_drain(..))
+                .enumerate();
+            type Piece<'a, T> = ((&'a mut TileGradient<T>, &'a mut Tile<T>), [&'a mut [T]; 3]);
+            let work = |(number, ((gradient, tile), [part, ..])): (usize, Piece<T>)| {
                 let rows = plan.rows_of(tokens, number);
                 gradient.norms.clear();
                 gradient.norms.resize(NORMS * 2 * WIDTH, T::zero());
@@ -319,9 +322,11 @@ impl Blocks {
                     fit(&mut gradient.s, rows[2].len()).fill(T::zero());
                     gradient.r.clear();
                 }
-            });
-            attention.backward(tokens, weights.groups(), d_attended, d_attention);
-            let pieces = tiles.iter_mut().zip(&plan.tiles).collect();
+            };
+            for_all(pieces, work);
+            *parts = recycled(places);
+            attention.backward(tokens, weights.groups(), d_attended, projected, d_attention);
+            let pieces = tiles.par_iter_mut().zip(&plan.tiles);
             for_all(pieces, |(gradient, rows)| {
                 gradient.send(weights, d_attention, rows, plan.patches)
             });
@@ -349,7 +354,7 @@ impl Blocks {
             // The largest first, so that no thread is left alone with one.
             jobs.sort_by_key(|(_, layer, _)| std::cmp::Reverse(layer.len()));
             let memories = !last || everything;
-            for_all(jobs, |(which, layer, d)| {
+            for_all(jobs.into_par_iter(), |(which, layer, d)| {
                 let (dw, db) = d.split_at_mut(layer.inner * layer.out);
                 for (tile, (kept, g)) in kept_tiles.iter().zip(tiles.iter()).enumerate() {
                     let [r, _, s] = plan.rows_of(tokens, tile);
@@ -386,18 +391,22 @@ impl Blocks {
                 layer.put_back(dw);
             });
         }
-        let mut d_tokens = Vec::with_capacity((2 * plan.rows + plan.patches) * WIDTH);
-        for tile in tiles.iter() {
-            d_tokens.extend_from_slice(&tile.z);
+        for (tile, rows) in tiles.iter().zip(&plan.tiles) {
+            let at = rows.start * WIDTH..rows.end * WIDTH;
+            d_z[at.clone()].copy_from_slice(&tile.z);
+            if !tile.receiver.is_empty() {
+                d_receiver[at.clone()].copy_from_slice(&tile.receiver);
+            }
+            d_sender[at].copy_from_slice(&tile.sender);
         }
-        for tile in tiles.iter() {
-            d_tokens.extend_from_slice(&tile.receiver);
-        }
-        for tile in tiles.iter() {
-            d_tokens.extend_from_slice(&tile.sender);
-        }
-        [d_tokens, d_parameters]
     }
+}
+
+/// Z, R and S of a token matrix.
+fn three<T>(tokens: &[T], sizes: [usize; 3]) -> [&[T]; 3] {
+    let (z, rest) = tokens.split_at(sizes[0]);
+    let (receiver, sender) = rest.split_at(sizes[1]);
+    [z, receiver, sender]
 }
 
 impl CustomOp2 for Blocks {
@@ -412,9 +421,11 @@ impl CustomOp2 for Blocks {
         s2: &CpuStorage,
         l2: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
-        self.check(l1.shape(), l2.shape())?;
+        self.stack.check(l1.shape(), l2.shape())?;
         by_dtype!(super::dtype_of(s1), T => {
-            let (out, workshop) = self.forward::<T>(operand(s1, l1)?, operand(s2, l2)?);
+            let (mut workshop, mut out) = (Workshop::<T>::take(), Vec::new());
+            let tokens = three(operand::<T>(s1, l1)?, self.stack.token_sizes());
+            self.stack.forward(tokens, operand(s2, l2)?, &mut workshop, &mut out);
             if self.stack.keep {
                 *<T as Keep>::place(self).lock().expect("nobody panics with it") = Some(workshop);
             } else {
@@ -437,7 +448,14 @@ impl CustomOp2 for Blocks {
             let Some(mut workshop) = kept else {
                 candle_core::bail!("blocks: a backward pass, but nothing was kept for it (or it was used already)");
             };
-            let [d_tokens, d_parameters] = self.backward::<T>(&values(parameters)?, &mut workshop, &values(grad)?);
+            let zeros = |len| vec![<T as num_traits::Zero>::zero(); len];
+            let (mut d_tokens, mut d_parameters) = (zeros(tokens.elem_count()), zeros(parameters.elem_count()));
+            let sizes = self.stack.token_sizes();
+            let (z, rest) = d_tokens.split_at_mut(sizes[0]);
+            let (receiver, sender) = rest.split_at_mut(sizes[1]);
+            let (weights, grad) = (values::<T>(parameters)?, values::<T>(grad)?);
+            let to = [z, receiver, sender];
+            self.stack.backward(&weights, &mut workshop, &grad, to, &mut d_parameters);
             workshop.put_back();
             let device = tokens.device();
             Ok((

@@ -6,12 +6,13 @@
 //! `da_j = Σ_{p(i)=j} F_iᵀ g_i`, and so for b, summed in the order of i.
 
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
+use rayon::prelude::*;
 
 use super::{Real, by_dtype, for_all, operand, values};
 
 /// Constants of a row, and numbers of a row.
 const STATE: usize = 12;
-const WIDTH: usize = STATE + 6;
+pub(crate) const WIDTH: usize = STATE + 6;
 /// Rows of one piece.
 const BLOCK_ROWS: usize = 256;
 
@@ -58,25 +59,41 @@ fn add_turned_back<T: Real>(frame: &[[f32; 3]; 3], g: &[T], d: &mut [T]) {
     }
 }
 
-impl Features {
-    fn forward<T: Real>(&self, patches: &[T], body: &[T]) -> Vec<T> {
-        let mut y = vec![T::zero(); self.rows.len() * WIDTH];
-        let rows = self.rows.chunks(BLOCK_ROWS);
-        let pieces = rows.zip(y.chunks_mut(BLOCK_ROWS * WIDTH)).collect();
-        for_all(pieces, |(rows, y): (&[FeatureRow], &mut [T])| {
-            for (row, y) in rows.iter().zip(y.chunks_exact_mut(WIDTH)) {
-                for (y, &h) in y.iter_mut().zip(&row.state) {
-                    *y = T::of(f64::from(h));
-                }
-                let from = &patches[3 * row.patch as usize..][..3];
-                y[STATE..STATE + 3].copy_from_slice(&turned(&row.frame, from));
-                if let Some(vertex) = row.body {
+/// The rows into `y`.
+pub(crate) fn put_together<T: Real>(rows: &[FeatureRow], patches: &[T], body: &[T], y: &mut [T]) {
+    let pieces = (rows.par_chunks(BLOCK_ROWS)).zip(y.par_chunks_mut(BLOCK_ROWS * WIDTH));
+    for_all(pieces, |(rows, y): (&[FeatureRow], &mut [T])| {
+        for (row, y) in rows.iter().zip(y.chunks_exact_mut(WIDTH)) {
+            for (y, &h) in y.iter_mut().zip(&row.state) {
+                *y = T::of(f64::from(h));
+            }
+            let from = &patches[3 * row.patch as usize..][..3];
+            y[STATE..STATE + 3].copy_from_slice(&turned(&row.frame, from));
+            match row.body {
+                Some(vertex) => {
                     let from = &body[3 * vertex as usize..][..3];
                     y[STATE + 3..].copy_from_slice(&turned(&row.frame, from));
                 }
+                None => y[STATE + 3..].fill(T::zero()),
             }
-        });
-        y
+        }
+    });
+}
+
+/// Adds the gradients of a and b that belong to the rows' gradient.
+pub(crate) fn take_apart<T: Real>(
+    rows: &[FeatureRow],
+    g: &[T],
+    d_patches: &mut [T],
+    d_body: &mut [T],
+) {
+    for (row, g) in rows.iter().zip(g.chunks_exact(WIDTH)) {
+        let to = &mut d_patches[3 * row.patch as usize..][..3];
+        add_turned_back(&row.frame, &g[STATE..STATE + 3], to);
+        if let Some(vertex) = row.body {
+            let to = &mut d_body[3 * vertex as usize..][..3];
+            add_turned_back(&row.frame, &g[STATE + 3..], to);
+        }
     }
 }
 
@@ -103,7 +120,8 @@ impl CustomOp2 for Features {
             );
         }
         by_dtype!(super::dtype_of(s1), T => {
-            let y = self.forward::<T>(operand(s1, l1)?, operand(s2, l2)?);
+            let mut y = vec![<T as num_traits::Zero>::zero(); self.rows.len() * WIDTH];
+            put_together::<T>(&self.rows, operand(s1, l1)?, operand(s2, l2)?, &mut y);
             Ok((<T as candle_core::WithDType>::to_cpu_storage_owned(y), (self.rows.len(), WIDTH).into()))
         })
     }
@@ -119,14 +137,7 @@ impl CustomOp2 for Features {
             let g = values::<T>(grad)?;
             let [mut d_patches, mut d_body] = [patches, body]
                 .map(|input| vec![<T as num_traits::Zero>::zero(); input.elem_count()]);
-            for (row, g) in self.rows.iter().zip(g.chunks_exact(WIDTH)) {
-                let to = &mut d_patches[3 * row.patch as usize..][..3];
-                add_turned_back(&row.frame, &g[STATE..STATE + 3], to);
-                if let Some(vertex) = row.body {
-                    let to = &mut d_body[3 * vertex as usize..][..3];
-                    add_turned_back(&row.frame, &g[STATE + 3..], to);
-                }
-            }
+            take_apart(&self.rows, &g, &mut d_patches, &mut d_body);
             let device = patches.device();
             Ok((
                 Some(Tensor::from_vec(d_patches, patches.shape(), device)?),

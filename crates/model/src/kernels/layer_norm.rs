@@ -4,9 +4,10 @@
 //! h = g·w: `dx = (h − mean(h) − n·mean(h·n))/s`, `dw = Σ g·n`, `db = Σ g`.
 
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
+use rayon::prelude::*;
 
 use super::product::add;
-use super::{Real, by_dtype, for_all, operand, simd_dispatch, values};
+use super::{Real, by_dtype, fit, for_all, operand, simd_dispatch, values};
 
 const EPSILON: f64 = 1e-5;
 /// Rows of one piece; fixed, so that bits do not depend on threads.
@@ -104,6 +105,50 @@ fn backward_rows<T: Real>(x: &[T], w: &[T], g: &[T], dx: &mut [T], dw: &mut [T],
 simd_dispatch!(pub(super) fn run_forward => forward_rows<T>(x: &[T], w: &[T], b: &[T], y: &mut [T]));
 simd_dispatch!(pub(super) fn run_backward => backward_rows<T>(x: &[T], w: &[T], g: &[T], dx: &mut [T], dw: &mut [T], db: &mut [T]));
 
+/// The norm of the first `rows` rows into `y`; the others are copied.
+pub(crate) fn norm_first<T: Real>(x: &[T], rows: usize, w: &[T], b: &[T], y: &mut [T]) {
+    let (x, others) = x.split_at(rows * w.len());
+    let (y, passed) = y.split_at_mut(rows * w.len());
+    passed.copy_from_slice(others);
+    let block = (BLOCK_ROWS * w.len()).max(1);
+    let blocks = x.par_chunks(block).zip(y.par_chunks_mut(block));
+    for_all(blocks, |(x, y): (&[T], &mut [T])| {
+        run_forward::<T>(x, w, b, y)
+    });
+}
+
+/// Gradients of x, w and b for [`norm_first`]; `parts` is room.
+pub(crate) fn norm_first_backward<T: Real>(
+    (x, rows, w): (&[T], usize, &[T]),
+    g: &[T],
+    parts: &mut Vec<T>,
+    [dx, dw, db]: [&mut [T]; 3],
+) {
+    let width = w.len();
+    let block = (BLOCK_ROWS * width).max(1);
+    let (g, others) = g.split_at(rows * width);
+    let (normed, passed) = dx.split_at_mut(rows * width);
+    passed.copy_from_slice(others);
+    // Each block sums its own part of dw and db; the parts are added in order.
+    let parts = fit(parts, 2 * width * g.len().div_ceil(block));
+    let blocks = x.par_chunks(block).zip(g.par_chunks(block));
+    let blocks = blocks.zip(normed.par_chunks_mut(block));
+    let blocks = blocks.zip(parts.par_chunks_mut((2 * width).max(1)));
+    type Piece<'a, T> = (((&'a [T], &'a [T]), &'a mut [T]), &'a mut [T]);
+    for_all(blocks, |(((x, g), dx), part): Piece<T>| {
+        part.fill(T::zero());
+        let (dw, db) = part.split_at_mut(width);
+        // The last block may have rows that pass beyond it.
+        run_backward::<T>(&x[..g.len()], w, g, dx, dw, db);
+    });
+    dw.fill(T::zero());
+    db.fill(T::zero());
+    for part in parts.chunks_exact((2 * width).max(1)) {
+        add(&part[..width], dw);
+        add(&part[width..], db);
+    }
+}
+
 impl CustomOp3 for LayerNorm {
     fn name(&self) -> &'static str {
         "layer-norm"
@@ -133,12 +178,7 @@ impl CustomOp3 for LayerNorm {
             let x = operand::<T>(s1, l1)?;
             let mut y = vec![<T as num_traits::Zero>::zero(); x.len()];
             let (w, b) = (operand::<T>(s2, l2)?, operand::<T>(s3, l3)?);
-            let block = (BLOCK_ROWS * width).max(1);
-            let (normed, others) = y.split_at_mut(self.rows * width);
-            others.copy_from_slice(&x[self.rows * width..]);
-            let x = &x[..self.rows * width];
-            let blocks = x.chunks(block).zip(normed.chunks_mut(block)).collect();
-            for_all(blocks, |(x, y): (&[T], &mut [T])| run_forward::<T>(x, w, b, y));
+            norm_first(x, self.rows, w, b, &mut y);
             Ok((<T as candle_core::WithDType>::to_cpu_storage_owned(y), l1.shape().clone()))
         })
     }
@@ -155,30 +195,15 @@ impl CustomOp3 for LayerNorm {
             let zero = <T as num_traits::Zero>::zero();
             let (w, g, input) = (values::<T>(weight)?, values::<T>(grad)?, values::<T>(x)?);
             let (w, g, input): (&[T], &[T], &[T]) = (&w, &g, &input);
-            let (width, block) = (w.len(), (BLOCK_ROWS * w.len()).max(1));
             let mut dx = vec![zero; g.len()];
-            let (g, others) = g.split_at(self.rows * width);
-            let (normed, passed) = dx.split_at_mut(self.rows * width);
-            passed.copy_from_slice(others);
-            // Each block sums its own part of dw and db; the parts are added in order.
-            let mut parts = vec![zero; 2 * width * g.len().div_ceil(block)];
-            let blocks = input.chunks(block).zip(g.chunks(block)).zip(normed.chunks_mut(block));
-            let blocks = blocks.zip(parts.chunks_mut((2 * width).max(1))).collect();
-            type Piece<'a, T> = (((&'a [T], &'a [T]), &'a mut [T]), &'a mut [T]);
-            for_all(blocks, |(((x, g), dx), part): Piece<T>| {
-                let (dw, db) = part.split_at_mut(width);
-                run_backward::<T>(x, w, g, dx, dw, db);
-            });
-            let (mut dw, mut db) = (vec![zero; width], vec![zero; width]);
-            for part in parts.chunks_exact((2 * width).max(1)) {
-                add(&part[..width], &mut dw);
-                add(&part[width..], &mut db);
-            }
+            let (mut dw, mut db) = (vec![zero; w.len()], vec![zero; w.len()]);
+            let gradients = [&mut dx[..], &mut dw[..], &mut db[..]];
+            norm_first_backward((input, self.rows, w), g, &mut Vec::new(), gradients);
             let device = x.device();
             Ok((
                 Some(Tensor::from_vec(dx, x.shape(), device)?),
-                Some(Tensor::from_vec(dw, width, device)?),
-                Some(Tensor::from_vec(db, width, device)?),
+                Some(Tensor::from_vec(dw, w.len(), device)?),
+                Some(Tensor::from_vec(db, w.len(), device)?),
             ))
         })
     }

@@ -4,6 +4,7 @@
 //! Backward, with g masked by y > 0 under ReLU: `dx = g W`, `dW = gᵀ x`, `db = Σ_rows g`.
 
 use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor};
+use rayon::prelude::*;
 
 use super::product::{add_rows, fill_rows, mask, multiply_columns, relu, rows_times, transposed};
 use super::{Real, by_dtype, for_all, operand, values};
@@ -68,6 +69,31 @@ fn sizes(x: &Layout, weight: &Layout) -> Result<(usize, usize, usize)> {
     Ok((rows, inner, out))
 }
 
+/// The layer's rows into `y`, with `Wᵀ [in, out]`.
+pub(crate) fn affine_rows<T: Real>(
+    x: &[T],
+    transposed: &[T],
+    bias: Option<&[T]>,
+    inner: usize,
+    activation: Activation,
+    y: &mut [T],
+) {
+    if y.is_empty() {
+        return;
+    }
+    let out = transposed.len() / inner;
+    let blocks = (x.par_chunks(BLOCK_ROWS * inner)).zip(y.par_chunks_mut(BLOCK_ROWS * out));
+    for_all(blocks, |(x, y): (&[T], &mut [T])| {
+        if let Some(bias) = bias {
+            fill_rows(bias, y);
+        }
+        rows_times(x, transposed, out, y, bias.is_some());
+        if activation == Activation::Relu {
+            relu(y);
+        }
+    });
+}
+
 fn forward<T: Real>(
     x: &[T],
     weight: &[T],
@@ -76,26 +102,66 @@ fn forward<T: Real>(
     activation: Activation,
 ) -> Vec<T> {
     let mut y = vec![T::zero(); rows * out];
-    if y.is_empty() {
-        return y;
+    if !y.is_empty() {
+        let transposed = transposed(weight, inner);
+        affine_rows(x, &transposed, bias, inner, activation, &mut y);
     }
-    let transposed = transposed(weight, inner);
-    let x = x.chunks(BLOCK_ROWS * inner);
-    let blocks = x.zip(y.chunks_mut(BLOCK_ROWS * out)).collect();
-    for_all(blocks, |(x, y): (&[T], &mut [T])| {
-        if let Some(bias) = bias {
-            fill_rows(bias, y);
-        }
-        rows_times(x, &transposed, out, y, bias.is_some());
-        if activation == Activation::Relu {
-            relu(y);
-        }
-    });
     y
 }
 
-/// Gradient and output of some rows, and the place for their input's gradient.
-type Piece<'a, T> = ((&'a mut [T], &'a [T]), Option<&'a mut [T]>);
+/// What goes into a layer, its weight `W [out, in]`, and what comes out.
+pub(crate) struct Passed<'a, T> {
+    pub(crate) x: &'a [T],
+    pub(crate) weight: &'a [T],
+    pub(crate) y: &'a [T],
+    /// Width of a row of x, and of y.
+    pub(crate) inner: usize,
+    pub(crate) out: usize,
+    pub(crate) activation: Activation,
+}
+
+impl<T: Real> Passed<'_, T> {
+    /// From the gradient of y, which is masked, those of W and, where they are asked for, of x and b.
+    pub(crate) fn backward(
+        &self,
+        g: &mut [T],
+        dx: Option<&mut [T]>,
+        dw: Option<&mut [T]>,
+        db: Option<&mut [T]>,
+    ) {
+        let Self { inner, out, .. } = *self;
+        if self.activation == Activation::Relu && out > 0 {
+            let blocks = g.par_chunks_mut(BLOCK_ROWS * out);
+            let blocks = blocks.zip(self.y.par_chunks(BLOCK_ROWS * out));
+            for_all(blocks, |(g, y): (&mut [T], &[T])| mask(y, g));
+        }
+        let g = &*g;
+        if let Some(dx) = dx.filter(|dx| !dx.is_empty()) {
+            if out == 0 {
+                dx.fill(T::zero());
+            } else {
+                let blocks = g.par_chunks(BLOCK_ROWS * out);
+                let blocks = blocks.zip(dx.par_chunks_mut(BLOCK_ROWS * inner));
+                for_all(blocks, |(g, dx): (&[T], &mut [T])| {
+                    rows_times(g, self.weight, inner, dx, false);
+                });
+            }
+        }
+        if let Some(dw) = dw.filter(|dw| !dw.is_empty()) {
+            // Each piece makes rows of dW, over all rows of x in one product.
+            let pieces = dw.par_chunks_mut(BLOCK_OUT * inner).enumerate();
+            for_all(pieces, |(piece, dw): (usize, &mut [T])| {
+                let rows = (piece * BLOCK_OUT, dw.len() / inner, out);
+                multiply_columns(g, rows, self.x, inner, dw);
+            });
+        }
+        if let Some(db) = db.filter(|db| !db.is_empty()) {
+            db.fill(T::zero());
+            add_rows(g, db);
+        }
+    }
+}
+
 type Gradients = (Option<Tensor>, Option<Tensor>, Option<Tensor>);
 
 fn backward<T: Real>(
@@ -109,52 +175,33 @@ fn backward<T: Real>(
     let ((rows, inner), out) = (x.dims2()?, weight.dim(0)?);
     let mut g = values::<T>(grad)?.to_vec();
     let (y, w, input) = (values::<T>(res)?, values::<T>(weight)?, values::<T>(x)?);
-    let (y, w, input): (&[T], &[T], &[T]) = (&y, &w, &input);
-    let mut dx = vec![T::zero(); if x.track_op() { rows * inner } else { 0 }];
-    if out > 0 && inner > 0 {
-        let mut parts = dx.chunks_mut(BLOCK_ROWS * inner);
-        let g = g.chunks_mut(BLOCK_ROWS * out);
-        let blocks = g.zip(y.chunks(BLOCK_ROWS * out));
-        let blocks = blocks.map(|block| (block, parts.next())).collect();
-        for_all(blocks, |((g, y), dx): Piece<T>| {
-            if activation == Activation::Relu {
-                mask(y, g);
-            }
-            if let Some(dx) = dx {
-                rows_times(g, w, inner, dx, false);
-            }
-        });
-    }
-    let device = x.device();
-    let dw = if weight.track_op() {
-        let g: &[T] = &g;
-        let mut dw = vec![T::zero(); out * inner];
-        // Each piece makes rows of dW, over all rows of x in one product.
-        let pieces = dw
-            .chunks_mut((BLOCK_OUT * inner).max(1))
-            .enumerate()
-            .collect();
-        for_all(pieces, |(piece, dw): (usize, &mut [T])| {
-            let first = piece * BLOCK_OUT;
-            let count = dw.len() / inner;
-            multiply_columns(g, (first, count, out), input, inner, dw);
-        });
-        Some(Tensor::from_vec(dw, (out, inner), device)?)
-    } else {
-        None
+    let passed = Passed {
+        x: &input,
+        weight: &w,
+        y: &y,
+        inner,
+        out,
+        activation,
     };
-    let dx = match x.track_op() {
-        true => Some(Tensor::from_vec(dx, (rows, inner), device)?),
-        false => None,
+    let zeros = |wanted: bool, len: usize| wanted.then(|| vec![T::zero(); len]);
+    let mut dx = zeros(x.track_op(), rows * inner);
+    let mut dw = zeros(weight.track_op(), out * inner);
+    let mut db = zeros(with_bias, out);
+    passed.backward(
+        &mut g,
+        dx.as_deref_mut(),
+        dw.as_deref_mut(),
+        db.as_deref_mut(),
+    );
+    let tensor = |values: Option<Vec<T>>, shape: Shape| {
+        let made = values.map(|values| Tensor::from_vec(values, shape, x.device()));
+        made.transpose()
     };
-    let db = if with_bias {
-        let mut db = vec![T::zero(); out];
-        add_rows(&g, &mut db);
-        Some(Tensor::from_vec(db, out, device)?)
-    } else {
-        None
-    };
-    Ok((dx, dw, db))
+    Ok((
+        tensor(dx, (rows, inner).into())?,
+        tensor(dw, (out, inner).into())?,
+        tensor(db, out.into())?,
+    ))
 }
 
 impl CustomOp3 for Linear {

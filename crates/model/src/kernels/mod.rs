@@ -1,5 +1,7 @@
-//! Fused operations with hand-written backward passes, as candle custom ops.
+//! Fused operations with hand-written backward passes.
 //!
+//! [`LayersNet`](crate::LayersNet) runs them on memory of its own; as candle custom ops, which is
+//! how they are checked, they allocate what they return.
 //! candle's stock layer norm and softmax return no gradient, and gathering
 //! attention from stock ops costs ten times the time. Each kernel file states its
 //! formula, works in f32 and f64 (finite differences are checked in f64), and cuts its
@@ -13,28 +15,81 @@ pub mod decoder;
 pub mod features;
 pub mod layer_norm;
 pub mod linear;
-mod product;
+pub(crate) mod product;
 pub mod row_map;
 pub mod rows;
+
+use std::sync::Mutex;
 
 use candle_core::{CpuStorage, Layout, Result, Tensor, WithDType};
 use rayon::prelude::*;
 
 /// [`for_all_with`] without room for work.
-pub(crate) fn for_all<I: Send>(pieces: Vec<I>, work: impl Fn(I) + Send + Sync) {
-    for_all_with(pieces, |(), piece| work(piece));
+pub(crate) fn for_all<I: Send>(
+    pieces: impl IndexedParallelIterator<Item = I>,
+    work: impl Fn(I) + Send + Sync,
+) {
+    for_all_with(pieces, |(): &mut (), piece| work(piece));
 }
 
 /// Does independent pieces of work: in parallel, unless this thread already is one of a
 /// pool's (training then runs samples side by side). What a piece computes must not depend
 /// on who does it. Pieces leave room for work to each other, in any state.
-pub fn for_all_with<I: Send, R: Default>(pieces: Vec<I>, work: impl Fn(&mut R, I) + Send + Sync) {
-    if rayon::current_thread_index().is_some() {
-        let mut room = R::default();
-        pieces.into_iter().for_each(|piece| work(&mut room, piece));
-    } else {
-        pieces.into_par_iter().for_each_init(R::default, work);
+pub fn for_all_with<I: Send, R: Default>(
+    pieces: impl IndexedParallelIterator<Item = I>,
+    work: impl Fn(&mut R, I) + Send + Sync,
+) {
+    let alone = rayon::current_thread_index().is_some();
+    // An iterator that is never cut stays on its thread.
+    let least = if alone { usize::MAX } else { 1 };
+    pieces
+        .with_min_len(least)
+        .for_each_init(R::default, |room, piece| work(room, piece));
+}
+
+/// An empty list in the memory of one whose items' borrows have ended.
+pub(crate) fn recycled<A, B>(mut list: Vec<A>) -> Vec<B> {
+    list.clear();
+    let none = list.into_iter().map(|_| unreachable!("the list is empty"));
+    // Collecting from a list's own iterator stays in its memory.
+    none.collect()
+}
+
+/// Buffers that are used again: who needs some takes them from the shelf and puts them back.
+pub(crate) trait Shelved: Default + Send + 'static {
+    /// Those that nobody uses at the moment.
+    fn shelf() -> &'static Mutex<Vec<Self>>;
+
+    /// Some that nobody uses, or new ones.
+    fn take() -> Self {
+        let free = Self::shelf().lock().expect("nobody panics with it").pop();
+        free.unwrap_or_default()
     }
+
+    /// Leaves them to the next.
+    fn put_back(self) {
+        let mut shelf = Self::shelf().lock().expect("nobody panics with it");
+        shelf.push(self);
+    }
+}
+
+/// Makes a shelf for buffers of a type.
+macro_rules! shelved {
+    ($Buffers:ty) => {
+        impl $crate::kernels::Shelved for $Buffers {
+            fn shelf() -> &'static std::sync::Mutex<Vec<Self>> {
+                static SHELF: std::sync::Mutex<Vec<$Buffers>> = std::sync::Mutex::new(Vec::new());
+                &SHELF
+            }
+        }
+    };
+}
+pub(crate) use shelved;
+
+/// Fits a buffer's length; what is in it is to be overwritten.
+pub(crate) fn fit<T: Clone + Default>(buffer: &mut Vec<T>, len: usize) -> &mut [T] {
+    buffer.resize(len, T::default());
+    buffer
 }
 
 /// Scalars the kernels run in.

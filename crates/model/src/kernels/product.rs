@@ -174,7 +174,7 @@ simd_dispatch! {
 }
 simd_dispatch! {
     /// `to += x`.
-    pub(super) fn add => add_inner<T>(x: &[T], to: &mut [T])
+    pub(crate) fn add => add_inner<T>(x: &[T], to: &mut [T])
 }
 simd_dispatch! {
     /// `out = x + y`.

@@ -20,6 +20,25 @@ pub struct RowMap {
     pub offset: [f32; 3],
 }
 
+impl RowMap {
+    /// `d += Aᵀ g`.
+    pub(crate) fn add_back<T: Real>(&self, g: &[T], d: &mut [T]) {
+        for (row, &g) in self.matrix.iter().zip(g) {
+            for axis in 0..3 {
+                d[axis] += T::of(f64::from(row[axis])) * g;
+            }
+        }
+    }
+
+    /// `A v + c`.
+    pub(crate) fn apply<T: Real>(&self, v: &[T]) -> [T; 3] {
+        [0, 1, 2].map(|axis| {
+            let [a, b, d] = self.matrix[axis].map(|value| T::of(f64::from(value)));
+            a * v[0] + b * v[1] + d * v[2] + T::of(f64::from(self.offset[axis]))
+        })
+    }
+}
+
 /// Applies the maps; see the module's formula.
 ///
 /// # Errors
@@ -46,13 +65,9 @@ impl CustomOp1 for MapRows {
         }
         by_dtype!(super::dtype_of(storage), T => {
             let x = operand::<T>(storage, layout)?;
-            let mut y = Vec::with_capacity(self.maps.len() * 3);
-            for map in &self.maps {
-                let v = &x[3 * map.index as usize..][..3];
-                for (row, c) in map.matrix.iter().zip(map.offset) {
-                    let [a, b, d] = row.map(|value| <T as Real>::of(f64::from(value)));
-                    y.push(a * v[0] + b * v[1] + d * v[2] + <T as Real>::of(f64::from(c)));
-                }
+            let mut y = vec![<T as num_traits::Zero>::zero(); self.maps.len() * 3];
+            for (map, y) in self.maps.iter().zip(y.chunks_exact_mut(3)) {
+                y.copy_from_slice(&map.apply(&x[3 * map.index as usize..][..3]));
             }
             Ok((<T as candle_core::WithDType>::to_cpu_storage_owned(y), (self.maps.len(), 3).into()))
         })
@@ -63,12 +78,7 @@ impl CustomOp1 for MapRows {
             let g = values::<T>(grad)?;
             let mut dx = vec![<T as num_traits::Zero>::zero(); arg.elem_count()];
             for (map, g) in self.maps.iter().zip(g.chunks_exact(3)) {
-                let d = &mut dx[3 * map.index as usize..][..3];
-                for (row, &g) in map.matrix.iter().zip(g) {
-                    for axis in 0..3 {
-                        d[axis] += <T as Real>::of(f64::from(row[axis])) * g;
-                    }
-                }
+                map.add_back(g, &mut dx[3 * map.index as usize..][..3]);
             }
             Ok(Some(Tensor::from_vec(dx, arg.shape(), arg.device())?))
         })

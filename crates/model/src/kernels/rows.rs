@@ -5,7 +5,7 @@
 
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
 
-use super::{by_dtype, operand, values};
+use super::{Real, by_dtype, operand, values};
 
 /// Takes the rows; see the module's formula.
 ///
@@ -15,6 +15,18 @@ use super::{by_dtype, operand, values};
 pub fn take_rows(a: &Tensor, b: &Tensor, index: Vec<u32>) -> Result<Tensor> {
     a.contiguous()?
         .apply_op2(&b.contiguous()?, TakeRows { index })
+}
+
+/// The rows of a and b into `y`.
+pub(crate) fn take<T: Real>([a, b]: [&[T]; 2], index: &[u32], width: usize, y: &mut [T]) {
+    for (&row, y) in index.iter().zip(y.chunks_exact_mut(width.max(1))) {
+        let start = row as usize * width;
+        let from = match start.checked_sub(a.len()) {
+            None => &a[start..],
+            Some(start) => &b[start..],
+        };
+        y.copy_from_slice(&from[..width]);
+    }
 }
 
 struct TakeRows {
@@ -48,12 +60,8 @@ impl CustomOp2 for TakeRows {
         }
         by_dtype!(super::dtype_of(s1), T => {
             let (a, b) = (operand::<T>(s1, l1)?, operand::<T>(s2, l2)?);
-            let mut y = Vec::with_capacity(self.index.len() * width);
-            for &row in &self.index {
-                let row = row as usize;
-                let (from, row) = if row < m { (a, row) } else { (b, row - m) };
-                y.extend_from_slice(&from[row * width..][..width]);
-            }
+            let mut y = vec![<T as num_traits::Zero>::zero(); self.index.len() * width];
+            take([a, b], &self.index, width, &mut y);
             Ok((<T as candle_core::WithDType>::to_cpu_storage_owned(y), (self.index.len(), width).into()))
         })
     }
@@ -65,15 +73,18 @@ impl CustomOp2 for TakeRows {
         _res: &Tensor,
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>)> {
-        let (m, width) = a.dims2()?;
+        let width = a.dim(1)?;
         by_dtype!(a.dtype(), T => {
             let g = values::<T>(grad)?;
             let [mut da, mut db] =
                 [a, b].map(|input| vec![<T as num_traits::Zero>::zero(); input.elem_count()]);
             for (&row, g) in self.index.iter().zip(g.chunks_exact(width.max(1))) {
-                let row = row as usize;
-                let (to, row) = if row < m { (&mut da, row) } else { (&mut db, row - m) };
-                to[row * width..][..width].copy_from_slice(g);
+                let start = row as usize * width;
+                let to = match start.checked_sub(da.len()) {
+                    None => &mut da[start..],
+                    Some(start) => &mut db[start..],
+                };
+                to[..width].copy_from_slice(g);
             }
             Ok((
                 Some(Tensor::from_vec(da, a.shape(), a.device())?),

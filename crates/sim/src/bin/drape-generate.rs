@@ -4,17 +4,19 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use clap::{Parser, ValueEnum};
-use drape_dataset::sequence::{Frame, SequenceHeader};
+use drape_dataset::sequence::{Frame, Intersections, SequenceHeader};
 use drape_dataset::splits::{DatasetIndex, INDEX_FILE, Split};
 use drape_dataset::{SequenceReader, SequenceWriter};
 use drape_sim::SimError;
 use drape_sim::blender::{Blender, BlenderSettings};
 use drape_sim::engine::EngineSettings;
-use drape_sim::scene::{Recipe, SceneRanges, simulate, simulate_in_blender};
+use drape_sim::engine::profile::{self, Profile};
+use drape_sim::scene::{Progress, Quality, Recipe, SceneRanges, simulate, simulate_in_blender};
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 use serde::Deserialize;
@@ -49,13 +51,16 @@ struct Arguments {
     /// Seed of everything random
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
-    /// What simulates: this program's engine, or Blender, which takes about twenty times as long
-    /// and needs `cargo xtask setup blender` once
+    /// What simulates: this program's engine, or Blender, which takes much longer and needs
+    /// `cargo xtask setup blender` once
     #[arg(long, value_name = "NAME", value_enum, default_value_t = Simulator::Drape)]
     engine: Simulator,
     /// Sequences simulated at the same time; 0 takes all processor cores
     #[arg(long, value_name = "N", default_value_t = 0)]
     threads: usize,
+    /// Print where the engine's time went, effect by effect; not with Blender
+    #[arg(long)]
+    profile: bool,
     /// Print the configuration that would be used, and stop
     #[arg(long)]
     print_config: bool,
@@ -79,8 +84,12 @@ struct Config {
     test_sequences: usize,
     /// Recorded frames of a sequence.
     frames: usize,
-    /// Draws of a sequence whose garments do not fit or that blows up.
+    /// Draws of a sequence whose garments do not fit, that blows up or is not clean.
     attempts: usize,
+    /// Share of the frames that must be free of intersections from the first
+    /// on. What follows the first intersection is cut off; a sequence with less
+    /// is drawn again.
+    keep_share: f64,
     scene: SceneRanges,
     engine: EngineSettings,
     /// For `--engine blender`.
@@ -95,6 +104,7 @@ impl Default for Config {
             test_sequences: 16,
             frames: 48,
             attempts: 4,
+            keep_share: 0.9,
             scene: SceneRanges::default(),
             engine: EngineSettings::default(),
             blender: BlenderSettings::default(),
@@ -113,6 +123,11 @@ fn main() -> ExitCode {
 }
 
 fn run(arguments: &Arguments) -> Result<ExitCode> {
+    ensure!(
+        !arguments.profile || arguments.engine == Simulator::Drape,
+        "--profile: expected --engine drape, whose effects are timed, found --engine blender; \
+         leave one of the two out"
+    );
     let config = resolve(arguments)?;
     if arguments.print_config {
         print!("{}", toml::to_string(&config)?);
@@ -137,6 +152,7 @@ fn run(arguments: &Arguments) -> Result<ExitCode> {
     );
     bar.enable_steady_tick(Duration::from_millis(500));
     bar.set_message("simulating");
+    let times = arguments.profile.then(|| Mutex::new(Profile::default()));
     let started = Instant::now();
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(arguments.threads)
@@ -144,7 +160,15 @@ fn run(arguments: &Arguments) -> Result<ExitCode> {
     let outcomes: Vec<Outcome> = pool.install(|| {
         jobs.par_iter()
             .map(|job| {
-                let outcome = make(job, &config, blender, &arguments.out, &bar, &STOP);
+                let outcome = make(
+                    job,
+                    &config,
+                    blender,
+                    &arguments.out,
+                    &bar,
+                    &STOP,
+                    times.as_ref(),
+                );
                 if let Outcome::Failed(reason) = &outcome {
                     bar.suspend(|| eprintln!("{}: {reason}", job.name));
                 }
@@ -154,6 +178,9 @@ fn run(arguments: &Arguments) -> Result<ExitCode> {
     });
     bar.finish_and_clear();
     report(&outcomes, &config, started.elapsed());
+    if let Some(times) = times {
+        print_profile(&times.into_inner().unwrap_or_else(PoisonError::into_inner));
+    }
     if STOP.load(Ordering::Relaxed) {
         eprintln!(
             "interrupted; finished sequences are in {}: run the same command again to go on",
@@ -199,10 +226,22 @@ fn resolve(arguments: &Arguments) -> Result<Config> {
         config.attempts >= 1,
         "attempts: expected at least 1, found 0"
     );
+    ensure!(
+        (0.0..=1.0).contains(&config.keep_share),
+        "keep_share: expected 0 to 1, found {}",
+        config.keep_share
+    );
     config.scene.validate()?;
     config.engine.validate()?;
     config.blender.validate()?;
     Ok(config)
+}
+
+impl Config {
+    /// Clean frames that a sequence needs.
+    fn needed(&self) -> usize {
+        ((self.keep_share * self.frames as f64).ceil() as usize).max(1)
+    }
 }
 
 /// One sequence to make.
@@ -231,9 +270,8 @@ enum Outcome {
     Done {
         made_in: Option<Duration>,
         frames: usize,
-        hits: [u64; 3],
-        clean_frames: usize,
         attempts: usize,
+        quality: Quality,
     },
     Failed(String),
     Stopped,
@@ -246,10 +284,12 @@ fn make(
     folder: &Path,
     bar: &ProgressBar,
     stop: &AtomicBool,
+    times: Option<&Mutex<Profile>>,
 ) -> Outcome {
     let path = folder.join(format!("{}.mcap", job.name));
     let lead = config.scene.lead_in.still + config.scene.lead_in.ease;
     let all = (lead + config.frames) as u64;
+    let needed = config.needed();
     let recipe = |attempt: usize| -> Recipe {
         // Attempts after the first draw from streams of their own.
         let name = match attempt {
@@ -271,7 +311,8 @@ fn make(
     };
     let version = blender.map_or(env!("CARGO_PKG_VERSION"), Blender::version);
     for attempt in 0..config.attempts {
-        if let Some(outcome) = finished(&path, &recipe(attempt), version, attempt + 1) {
+        let recipe = recipe(attempt);
+        if let Some(outcome) = finished(&path, &recipe, version, needed, attempt + 1) {
             bar.inc(all);
             return outcome;
         }
@@ -280,40 +321,95 @@ fn make(
     for attempt in 0..config.attempts {
         let started = Instant::now();
         let mut counted = 0;
-        let recipe = recipe(attempt);
-        let each = |_| {
-            counted += 1;
-            bar.inc(1);
-            if stop.load(Ordering::Relaxed) {
-                ControlFlow::Break(())
-            } else {
-                ControlFlow::Continue(())
+        let mut refused = None;
+        let mut run = || {
+            let each = |progress| {
+                counted += 1;
+                bar.inc(1);
+                refused = why_not(progress, lead, needed);
+                if refused.is_some() || stop.load(Ordering::Relaxed) {
+                    ControlFlow::Break(())
+                } else {
+                    ControlFlow::Continue(())
+                }
+            };
+            let recipe = recipe(attempt);
+            match blender {
+                None => simulate(&recipe, None, each),
+                Some(blender) => simulate_in_blender(&recipe, blender, each),
             }
         };
-        let result = match blender {
-            None => simulate(&recipe, None, each),
-            Some(blender) => simulate_in_blender(&recipe, blender, each),
+        let result = match times {
+            None => run(),
+            Some(times) => {
+                let (result, profile) = profile::recorded(run);
+                let mut times = times.lock().unwrap_or_else(PoisonError::into_inner);
+                times.add(&profile);
+                result
+            }
         };
-        match result {
-            Ok((header, frames)) => {
+        let reason = match (result, refused) {
+            (Ok((mut header, mut frames)), _) => {
+                cut_dirty(&mut header, &mut frames, config.frames);
                 if let Err(error) = write(&path, &header, &frames) {
                     return Outcome::Failed(format!("{error:#}"));
                 }
-                return done(&frames, Some(started.elapsed()), attempt + 1);
+                bar.inc(all - counted);
+                return done(&header, &frames, Some(started.elapsed()), attempt + 1);
             }
-            Err(SimError::Stopped { .. }) => return Outcome::Stopped,
-            Err(error) => {
-                bar.set_position(bar.position() - counted);
-                reasons.push(format!("attempt {}: {error}", attempt + 1));
-            }
-        }
+            (Err(_), Some(reason)) => reason,
+            (Err(SimError::Stopped { .. }), None) => return Outcome::Stopped,
+            (Err(error), None) => error.to_string(),
+        };
+        bar.set_position(bar.position() - counted);
+        bar.suspend(|| eprintln!("{}: attempt {}: {reason}", job.name, attempt + 1));
+        reasons.push(format!("attempt {}: {reason}", attempt + 1));
     }
     bar.inc(all);
     Outcome::Failed(reasons.join("; "))
 }
 
+/// Why a sequence cannot have `needed` clean frames any more, after `lead` frames
+/// of lead-in and what was simulated so far.
+fn why_not(progress: Progress, lead: usize, needed: usize) -> Option<String> {
+    if progress.of < lead + needed {
+        return Some(format!(
+            "only {} of the {needed} frames needed have the body clear of itself",
+            progress.of.saturating_sub(lead)
+        ));
+    }
+    let recorded = progress.done.saturating_sub(lead);
+    let hits = progress.intersections.unwrap_or_default();
+    (0 < recorded && recorded <= needed && hits != Intersections::default()).then(|| {
+        format!(
+            "intersections in frame {}: {} between garments, {} within garments, {} with the body",
+            recorded - 1,
+            hits.between_garments,
+            hits.within_garments,
+            hits.with_body
+        )
+    })
+}
+
+/// Cuts off what follows the first intersection, and says in the header when frames are missing.
+fn cut_dirty(header: &mut SequenceHeader, frames: &mut Vec<Frame>, asked: usize) {
+    let dirty = |frame: &Frame| frame.intersections.unwrap_or_default() != Intersections::default();
+    if let Some(first) = frames.iter().position(dirty) {
+        frames.truncate(first);
+        header.scene.warnings.push(format!(
+            "cut before the first intersection: {first} of {asked} frames are kept"
+        ));
+    }
+}
+
 /// A whole file with this recipe, if there is one.
-fn finished(path: &Path, recipe: &Recipe, version: &str, attempts: usize) -> Option<Outcome> {
+fn finished(
+    path: &Path,
+    recipe: &Recipe,
+    version: &str,
+    needed: usize,
+    attempts: usize,
+) -> Option<Outcome> {
     if !path.is_file() {
         return None;
     }
@@ -321,8 +417,7 @@ fn finished(path: &Path, recipe: &Recipe, version: &str, attempts: usize) -> Opt
     let reader = SequenceReader::open(path).ok()?;
     let same = reader.header().scene.recipe == recipe.to_json()
         && reader.header().scene.engine_version == version
-        // Fewer when it was cut before an intersection.
-        && reader.frame_count() <= recipe.frames;
+        && (needed..=recipe.frames).contains(&reader.frame_count());
     if !same {
         return None;
     }
@@ -330,29 +425,20 @@ fn finished(path: &Path, recipe: &Recipe, version: &str, attempts: usize) -> Opt
         .map(|frame| reader.frame(frame))
         .collect::<Result<Vec<_>, _>>()
         .ok()?;
-    Some(done(&frames, None, attempts))
+    Some(done(reader.header(), &frames, None, attempts))
 }
 
-fn done(frames: &[Frame], made_in: Option<Duration>, attempts: usize) -> Outcome {
-    let mut hits = [0; 3];
-    let mut clean_frames = 0;
-    for counts in frames.iter().filter_map(|frame| frame.intersections) {
-        let counts = [
-            counts.between_garments,
-            counts.within_garments,
-            counts.with_body,
-        ];
-        clean_frames += usize::from(counts == [0; 3]);
-        for (sum, count) in hits.iter_mut().zip(counts) {
-            *sum += u64::from(count);
-        }
-    }
+fn done(
+    header: &SequenceHeader,
+    frames: &[Frame],
+    made_in: Option<Duration>,
+    attempts: usize,
+) -> Outcome {
     Outcome::Done {
         made_in,
         frames: frames.len(),
-        hits,
-        clean_frames,
         attempts,
+        quality: Quality::of(header, frames),
     }
 }
 
@@ -367,26 +453,22 @@ fn write(path: &Path, header: &SequenceHeader, frames: &[Frame]) -> Result<()> {
 
 fn report(outcomes: &[Outcome], config: &Config, elapsed: Duration) {
     let lead = config.scene.lead_in.still + config.scene.lead_in.ease;
-    let (mut accepted, mut kept, mut failed, mut again) = (0, 0, 0, 0);
-    let (mut recorded, mut clean, mut simulated) = (0, 0, 0);
-    let mut hits = [0; 3];
+    let (mut accepted, mut kept, mut failed, mut first) = (0, 0, 0, 0);
+    let (mut recorded, mut simulated) = (0, 0);
     let mut spent = Duration::ZERO;
+    let mut quality = Quality::default();
     for outcome in outcomes {
         match outcome {
             Outcome::Done {
                 made_in,
                 frames,
-                hits: of_sequence,
-                clean_frames,
                 attempts,
+                quality: of_sequence,
             } => {
                 accepted += 1;
-                again += attempts - 1;
+                first += usize::from(*attempts == 1);
                 recorded += frames;
-                clean += clean_frames;
-                for (sum, count) in hits.iter_mut().zip(of_sequence) {
-                    *sum += count;
-                }
+                quality.merge(of_sequence);
                 match made_in {
                     Some(time) => {
                         spent += *time;
@@ -399,16 +481,17 @@ fn report(outcomes: &[Outcome], config: &Config, elapsed: Duration) {
             Outcome::Stopped => {}
         }
     }
+    let asked = outcomes.len();
+    println!("sequences      {accepted} of {asked} ({kept} were there already, {failed} failed)");
     println!(
-        "sequences      {accepted} of {} ({kept} were there already, {failed} failed, \
-         {again} drawn again)",
-        outcomes.len()
+        "accepted       {first} of {asked} at the first draw, {:.1} %",
+        100.0 * first as f64 / asked as f64
     );
-    println!("frames         {recorded}, {clean} without any intersection");
     println!(
-        "intersections  {} between garments, {} within garments, {} with the body",
-        hits[0], hits[1], hits[2]
+        "frames         {recorded} of {}, none with an intersection",
+        asked * config.frames
     );
+    println!("cloth          {quality}");
     if simulated > 0 {
         println!(
             "time           {:.0} s in all; {:.3} s per simulated frame and thread; \
@@ -416,6 +499,18 @@ fn report(outcomes: &[Outcome], config: &Config, elapsed: Duration) {
             elapsed.as_secs_f64(),
             spent.as_secs_f64() / simulated as f64,
             simulated as f64 / elapsed.as_secs_f64() * 3600.0
+        );
+    }
+}
+
+/// The engine's times; bodies, garments, counting and files are not in them.
+fn print_profile(profile: &Profile) {
+    if profile.frames == 0 {
+        println!("profile        no frame was simulated: every sequence was there already");
+    } else {
+        println!(
+            "\nThe engine's time by effect (frames that led in are counted, time of all threads \
+             together):\n\n{profile}"
         );
     }
 }
@@ -447,6 +542,55 @@ mod tests {
     fn the_committed_configuration_says_the_defaults() {
         let text = include_str!("../../../../configs/generate.toml");
         assert_eq!(toml::from_str::<Config>(text).unwrap(), Config::default());
+    }
+
+    #[test]
+    fn the_wardrobe_is_a_configuration() {
+        let text = include_str!("../../../../configs/wardrobe.toml");
+        let config: Config = toml::from_str(text).unwrap();
+        assert_eq!((config.frames, config.needed()), (90, 81));
+    }
+
+    #[test]
+    fn a_hit_refuses_a_sequence_up_to_the_last_frame_that_is_needed_and_not_after() {
+        let at = |done, hits| Progress {
+            done,
+            of: 48 + 90,
+            intersections: Some(Intersections {
+                with_body: hits,
+                ..Intersections::default()
+            }),
+        };
+        let (lead, needed) = (48, 81);
+        for done in [49, 48 + 80, 48 + 81] {
+            assert_eq!(why_not(at(done, 0), lead, needed), None);
+            let reason = why_not(at(done, 3), lead, needed).unwrap();
+            assert!(reason.contains("3 with the body"), "{reason}");
+            assert!(
+                reason.contains(&format!("frame {}:", done - 49)),
+                "{reason}"
+            );
+        }
+        assert_eq!(
+            why_not(at(48 + 82, 3), lead, needed),
+            None,
+            "cut, not refused"
+        );
+        let lead_in = Progress {
+            done: 10,
+            of: 48 + 81,
+            intersections: None,
+        };
+        assert_eq!(why_not(lead_in, lead, needed), None);
+        let short = Progress {
+            of: 48 + 80,
+            ..lead_in
+        };
+        assert!(
+            why_not(short, lead, needed)
+                .unwrap()
+                .contains("only 80 of the 81")
+        );
     }
 
     #[test]

@@ -40,7 +40,7 @@ pub(super) fn for_faces(
     for garment in &fabric.garments {
         let density = garment.cloth.density;
         for face in &fabric.faces[garment.faces.clone()] {
-            let [a, b, c] = face.map(|v| v as usize);
+            let (a, b, c) = (face[0] as usize, face[1] as usize, face[2] as usize);
             let doubled = (state.x[b] - state.x[a]).cross(state.x[c] - state.x[a]);
             let length = doubled.length();
             if length < 1e-14 {

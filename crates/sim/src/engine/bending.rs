@@ -20,6 +20,8 @@ struct Hinge {
     weights: [f64; 4],
     rest: f64,
     stiffness: f64,
+    /// Σ K² / m.
+    mobility: f64,
 }
 
 /// All hinges of an outfit.
@@ -30,7 +32,7 @@ pub(super) struct Bending {
 }
 
 impl Bending {
-    pub fn new(fabric: &Fabric, damping_s: f64) -> Self {
+    pub fn new(fabric: &Fabric, state: &State, damping_s: f64) -> Self {
         let mut hinges = Vec::new();
         for (number, &[a, b]) in fabric.edges.iter().enumerate() {
             let &[(_, c), (_, d)] = &fabric.sides[number][..] else {
@@ -43,7 +45,9 @@ impl Bending {
                 continue;
             };
             let bend = combine(&rest, &weights);
+            let share = |(weight, &v): (&f64, &u32)| weight * weight * state.w[v as usize];
             hinges.push(Hinge {
+                mobility: weights.iter().zip(&corners).map(share).sum(),
                 corners,
                 weights,
                 rest: bend.dot(normal(&rest)),
@@ -56,11 +60,11 @@ impl Bending {
     /// The one pass of a substep over all hinges.
     pub fn solve(&self, state: &mut State, h: f64) {
         for hinge in &self.hinges {
-            let corners = hinge.corners.map(|v| v as usize);
-            let (bend, along) = hinge.bend(corners.map(|i| state.p[i]));
+            let (bend, along) = hinge.bend(&state.p);
             let s = hinge.stiffness * h * h;
-            let lambda = -s * (bend - hinge.rest) / (1.0 + s * hinge.mobility(state));
-            for (weight, &i) in hinge.weights.iter().zip(&corners) {
+            let lambda = -s * (bend - hinge.rest) / (1.0 + s * hinge.mobility);
+            for (weight, &v) in hinge.weights.iter().zip(&hinge.corners) {
+                let i = v as usize;
                 state.p[i] += (state.w[i] * lambda * weight) * along;
             }
         }
@@ -69,12 +73,12 @@ impl Bending {
     /// Slows folding and unfolding for `h` seconds (Rayleigh, on velocities as in [`super::stretch`]).
     pub fn damp(&self, state: &mut State, h: f64) {
         for hinge in &self.hinges {
-            let corners = hinge.corners.map(|v| v as usize);
-            let (_, along) = hinge.bend(corners.map(|i| state.x[i]));
-            let rate = along.dot(combine(&corners.map(|i| state.v[i]), &hinge.weights));
+            let (_, along) = hinge.bend(&state.x);
+            let rate = along.dot(combine(&gather(&state.v, &hinge.corners), &hinge.weights));
             let c = self.damping_s * hinge.stiffness * h;
-            let impulse = -c * rate / (1.0 + c * hinge.mobility(state));
-            for (weight, &i) in hinge.weights.iter().zip(&corners) {
+            let impulse = -c * rate / (1.0 + c * hinge.mobility);
+            for (weight, &v) in hinge.weights.iter().zip(&hinge.corners) {
+                let i = v as usize;
                 state.v[i] += (state.w[i] * impulse * weight) * along;
             }
         }
@@ -83,35 +87,47 @@ impl Bending {
 
 impl Hinge {
     /// Fold and its direction.
-    #[inline]
-    fn bend(&self, x: [DVec3; 4]) -> (f64, DVec3) {
+    #[inline(always)]
+    fn bend(&self, x: &[DVec3]) -> (f64, DVec3) {
+        let x = gather(x, &self.corners);
         let bend = combine(&x, &self.weights);
-        let normal = normal(&x);
-        let length = bend.length();
-        // A flat hinge has no direction of its own; its normal's sign says which way it folds.
-        let along = if length > 1e-9 { bend / length } else { normal };
-        let along = if along.dot(normal) < 0.0 {
-            -along
+        let length2 = bend.length_squared();
+        if length2 > 1e-18 {
+            // The side of the normal says which way it folds.
+            let length = length2.sqrt();
+            let fold = if bend.dot(across(&x)) < 0.0 {
+                -length
+            } else {
+                length
+            };
+            (fold, bend / fold)
         } else {
-            along
-        };
-        (bend.dot(along), along)
-    }
-
-    /// Σ K² / m.
-    fn mobility(&self, state: &State) -> f64 {
-        let share = |(weight, &v): (&f64, &u32)| weight * weight * state.w[v as usize];
-        self.weights.iter().zip(&self.corners).map(share).sum()
+            // A flat hinge has no direction of its own.
+            let normal = normal(&x);
+            (bend.dot(normal), normal)
+        }
     }
 }
 
+#[inline(always)]
+fn gather(x: &[DVec3], &[a, b, c, d]: &[u32; 4]) -> [DVec3; 4] {
+    let at = |v: u32| x[v as usize];
+    [at(a), at(b), at(c), at(d)]
+}
+
+#[inline(always)]
 fn combine(x: &[DVec3; 4], k: &[f64; 4]) -> DVec3 {
     k[0] * x[0] + k[1] * x[1] + k[2] * x[2] + k[3] * x[3]
 }
 
 /// Direction between the normals of both faces; 0 when they fold onto each other.
-fn normal([a, b, c, d]: &[DVec3; 4]) -> DVec3 {
-    (*b - *a).cross(*c - *d).normalize_or_zero()
+fn normal(corners: &[DVec3; 4]) -> DVec3 {
+    across(corners).normalize_or_zero()
+}
+
+/// Along that direction, of any length.
+fn across([a, b, c, d]: &[DVec3; 4]) -> DVec3 {
+    (*b - *a).cross(*c - *d)
 }
 
 /// Weights of edge (a, b) and opposite vertices c, d; `None` for needles.

@@ -7,9 +7,7 @@
 
 use super::contact::list::PairList;
 use super::contact::pair::Features;
-use super::contact::search::{Candidate, Surfaces, candidate};
-use super::contact::tubes::Tubes;
-use super::fabric::Fabric;
+use super::contact::search::{Candidate, Search};
 use super::state::State;
 
 /// Vertices known to be inside look this far for the way out, m.
@@ -44,94 +42,70 @@ impl BodyContact {
         self.inside.iter().filter(|&&inside| inside).count()
     }
 
-    /// Lists the pairs that can matter in the next `substeps`.
-    pub fn search(
-        &mut self,
-        surfaces: &Surfaces,
-        fabric: &Fabric,
-        state: &State,
-        tubes: &Tubes,
-        (now, substeps): (u32, f64),
-    ) {
-        self.list.pairs.clear();
+    /// Lists the pairs that can matter before the next search.
+    pub fn search(&mut self, within: &Search) {
+        self.list.begin(within.now, within.substeps);
+        let Search {
+            surfaces, state, ..
+        } = *within;
         let (thickness, friction) = (self.thickness, self.friction);
         for v in 0..state.cloth as u32 {
-            self.cloth_vertex(v, surfaces, state, tubes, (now, substeps));
+            self.cloth_vertex(v, within);
         }
-        let inside = &self.inside;
-        let pairs = &mut self.list.pairs;
-        surfaces.body_vertices_and_faces(fabric, thickness, |vertices| {
-            if vertices[1..].iter().any(|&v| inside[v as usize]) {
-                return;
-            }
-            let found = candidate(
-                vertices,
-                Features::VertexFace,
-                thickness,
-                state,
-                tubes,
-                substeps,
-            );
-            if let Some(found) = found {
-                let out = found
-                    .separation
-                    .d
-                    .dot(surfaces.normals[vertices[0] as usize]);
+        let inside = |v: u32| self.inside[v as usize];
+        let normal = |v: u32| surfaces.normals[v as usize];
+        let list = &mut self.list;
+        let (reach, body) = (within.reach(thickness), &surfaces.body);
+        for garment in &surfaces.garments {
+            body.vertices_and_faces(garment, reach, |vertices| {
+                let [v, a, b, c] = vertices;
+                if inside(a) || inside(b) || inside(c) {
+                    return;
+                }
+                let found = within.measure(vertices, Features::VertexFace);
                 let pokes = found.separation.interior
                     && found.distance < POKE_M
-                    && out > 0.5 * found.distance;
-                pairs.push(found.pair(thickness, friction, pokes, now));
-            }
-        });
-        surfaces.body_edges(fabric, thickness, |vertices| {
-            if vertices[..2].iter().any(|&v| inside[v as usize]) {
-                return;
-            }
-            let found = candidate(
-                vertices,
-                Features::EdgeEdge,
-                thickness,
-                state,
-                tubes,
-                substeps,
-            );
-            if let Some(found) = found {
-                let normal =
-                    surfaces.normals[vertices[2] as usize] + surfaces.normals[vertices[3] as usize];
-                let through = found.separation.interior
-                    && found.distance < POKE_M
-                    && found.separation.d.dot(normal) < -found.distance;
-                if !through {
-                    pairs.push(found.pair(thickness, friction, false, now));
+                    && found.separation.d.dot(normal(v)) > 0.5 * found.distance;
+                let pair = if pokes {
+                    within.rescue(&found, thickness, friction)
+                } else {
+                    within.pair(&found, thickness, friction)
+                };
+                if let Some(pair) = pair {
+                    list.push(pair);
                 }
-            }
-        });
+            });
+            garment.edges_and_edges(body, reach, |vertices| {
+                let [a, b, c, d] = vertices;
+                if inside(a) || inside(b) {
+                    return;
+                }
+                let found = within.measure(vertices, Features::EdgeEdge);
+                if let Some(pair) = within.pair(&found, thickness, friction) {
+                    let through = found.separation.interior
+                        && found.distance < POKE_M
+                        && found.separation.d.dot(normal(c) + normal(d)) < -found.distance;
+                    if !through {
+                        list.push(pair);
+                    }
+                }
+            });
+        }
     }
 
-    fn cloth_vertex(
-        &mut self,
-        v: u32,
-        surfaces: &Surfaces,
-        state: &State,
-        tubes: &Tubes,
-        (now, substeps): (u32, f64),
-    ) {
+    fn cloth_vertex(&mut self, v: u32, within: &Search) {
+        let Search {
+            surfaces, state, ..
+        } = *within;
         if state.w[v as usize] == 0.0 {
             return;
         }
         let was_inside = self.inside[v as usize];
-        let reach = if was_inside { RESCUE_M } else { self.thickness };
+        let look = if was_inside { RESCUE_M } else { self.thickness };
         let near = &mut self.near;
         near.clear();
-        surfaces.body_faces_near(v, reach, |vertices| {
-            near.extend(candidate(
-                vertices,
-                Features::VertexFace,
-                reach,
-                state,
-                tubes,
-                substeps,
-            ));
+        surfaces.body_faces_near(v, within.reach(look), |vertices| {
+            near.push(within.measure(vertices, Features::VertexFace));
         });
         let nearest = near.iter().min_by(|a, b| a.distance.total_cmp(&b.distance));
         let Some(nearest) = nearest else {
@@ -150,17 +124,14 @@ impl BodyContact {
         };
         let inside = nearest.separation.d.dot(normal) < 0.0;
         self.inside[v as usize] = inside;
+        let pair = |found| within.pair(found, self.thickness, self.friction);
         if inside {
-            self.list
-                .pairs
-                .push(nearest.pair(self.thickness, self.friction, true, now));
-            return;
-        }
-        for found in near.iter() {
-            if found.distance <= self.thickness + found.rate * substeps {
-                self.list
-                    .pairs
-                    .push(found.pair(self.thickness, self.friction, false, now));
+            if let Some(pair) = within.rescue(nearest, self.thickness, self.friction) {
+                self.list.push(pair);
+            }
+        } else {
+            for pair in near.iter().filter_map(pair) {
+                self.list.push(pair);
             }
         }
     }

@@ -41,6 +41,7 @@ pub(super) struct Fabric {
 pub(super) struct Piece {
     pub vertices: Range<usize>,
     pub faces: Range<usize>,
+    pub edges: Range<usize>,
     pub layer: u32,
     pub cloth: Cloth,
 }
@@ -72,6 +73,11 @@ impl Fabric {
             }
         }
         (fabric.edges, fabric.sides) = sides.into_iter().unzip();
+        // Edges are in the order of their vertices, so those of a garment follow each other.
+        for piece in &mut fabric.garments {
+            let before = |v: usize| fabric.edges.partition_point(|edge| (edge[0] as usize) < v);
+            piece.edges = before(piece.vertices.start)..before(piece.vertices.end);
+        }
         fabric.faces_of = incidence(fabric.rest.len(), &fabric.faces);
         fabric.edges_of = incidence(fabric.rest.len(), &fabric.edges);
         Ok(fabric)
@@ -104,6 +110,7 @@ impl Fabric {
         self.garments.push(Piece {
             vertices: first..self.rest.len(),
             faces: first_face..self.faces.len(),
+            edges: 0..0,
             layer: garment.layer,
             cloth,
         });

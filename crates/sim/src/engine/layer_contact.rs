@@ -10,9 +10,7 @@ use std::collections::BTreeSet;
 use super::contact::list::PairList;
 use super::contact::pair::Features;
 use super::contact::pair::Pair;
-use super::contact::search::{Candidate, Surfaces};
-use super::fabric::Fabric;
-use super::state::State;
+use super::contact::search::{Candidate, Search};
 
 /// Deeper than this, being on the wrong side is taken for another place of the garment, m.
 const RESCUE_M: f64 = 0.008;
@@ -41,56 +39,61 @@ impl LayerContact {
         }
     }
 
-    /// Takes a candidate of two garments up.
-    pub fn add(
-        &mut self,
-        found: &Candidate,
-        surfaces: &Surfaces,
-        fabric: &Fabric,
-        state: &State,
-        now: u32,
-    ) {
-        let [first, _, third, _] = found.vertices;
-        // The second feature starts at vertex 1 of a vertex and face, at 2 of two edges.
-        let garments = [first, third].map(|v| fabric.garment_of[v as usize]);
-        let [layer_a, layer_b] = garments.map(|g| fabric.garments[g as usize].layer);
-        let friction = 0.5 * (fabric.cloth_of(first).friction + fabric.cloth_of(third).friction);
-        let turned =
-            self.recovering && wrong_side(found, surfaces, state, garments, layer_a.cmp(&layer_b));
-        let pair = found.pair(self.thickness, friction, turned, now);
-        if !self.recovering {
-            self.list.pairs.push(pair);
-        } else if !turned {
-            self.doubtful.push(pair);
-        } else if found.features == Features::VertexFace {
-            self.wrong.extend(found.vertices);
-            self.list.pairs.push(pair);
+    /// Lists the pairs that can matter before the next search.
+    pub fn search(&mut self, within: &Search) {
+        self.list.begin(within.now, within.substeps);
+        self.doubtful.clear();
+        self.wrong.clear();
+        let reach = within.reach(self.thickness);
+        let garments = &within.surfaces.garments;
+        for (number, first) in garments.iter().enumerate() {
+            for second in &garments[number + 1..] {
+                let mut vertex = |v| self.take(v, Features::VertexFace, within);
+                first.vertices_and_faces(second, reach, &mut vertex);
+                second.vertices_and_faces(first, reach, &mut vertex);
+                first.edges_and_edges(second, reach, |v| self.take(v, Features::EdgeEdge, within));
+            }
+        }
+        let wrong = &self.wrong;
+        let holds = |pair: &Pair| !pair.vertices.iter().any(|v| wrong.contains(v));
+        for pair in self.doubtful.drain(..).filter(holds) {
+            self.list.push(pair);
         }
     }
 
-    /// Starts over; how far to look.
-    pub fn begin_search(&mut self) -> f64 {
-        self.list.pairs.clear();
-        self.doubtful.clear();
-        self.wrong.clear();
-        self.thickness
-    }
-
-    /// All candidates are known.
-    pub fn finish_search(&mut self) {
-        let wrong = &self.wrong;
-        let holds = |pair: &Pair| !pair.vertices.iter().any(|v| wrong.contains(v));
-        self.list
-            .pairs
-            .extend(self.doubtful.drain(..).filter(holds));
+    /// Takes features of two garments up if they can matter.
+    fn take(&mut self, vertices: [u32; 4], features: Features, within: &Search) {
+        let found = within.measure(vertices, features);
+        let fabric = within.fabric;
+        // The second feature starts at vertex 1 of a vertex and face, at 2 of two edges.
+        let [first, _, third, _] = vertices;
+        let garments = [first, third].map(|v| fabric.garment_of[v as usize]);
+        let friction = 0.5 * (fabric.cloth_of(first).friction + fabric.cloth_of(third).friction);
+        let [layer_a, layer_b] = garments.map(|g| fabric.garments[g as usize].layer);
+        let turned = self.recovering && wrong_side(&found, within, garments, layer_a.cmp(&layer_b));
+        let pair = if turned {
+            within.rescue(&found, self.thickness, friction)
+        } else {
+            within.pair(&found, self.thickness, friction)
+        };
+        let Some(pair) = pair else {
+            return;
+        };
+        if !self.recovering {
+            self.list.push(pair);
+        } else if !turned {
+            self.doubtful.push(pair);
+        } else if features == Features::VertexFace {
+            self.wrong.extend(vertices);
+            self.list.push(pair);
+        }
     }
 }
 
 /// Whether an outer feature lies just inside an inner one.
 fn wrong_side(
     found: &Candidate,
-    surfaces: &Surfaces,
-    state: &State,
+    within: &Search,
     garments: [u32; 2],
     order: std::cmp::Ordering,
 ) -> bool {
@@ -99,13 +102,13 @@ fn wrong_side(
         return false;
     }
     let d = found.separation.d;
-    let normal = |k: usize| surfaces.normals[found.vertices[k] as usize];
+    let normal = |k: usize| within.surfaces.normals[found.vertices[k] as usize];
     // D points from the second feature to the first; `out` from the inner surface outwards.
     let outside = if order == Greater { d } else { -d };
     match (found.features, order) {
         (Features::VertexFace, Greater) => {
-            let [_, a, b, c] = found.vertices.map(|v| state.x[v as usize]);
-            let face = (b - a).cross(c - a) * surfaces.outward(garments[1]);
+            let [_, a, b, c] = found.vertices.map(|v| within.state.x[v as usize]);
+            let face = (b - a).cross(c - a) * within.surfaces.outward(garments[1]);
             outside.dot(face) < 0.0
         }
         (Features::VertexFace, Less | Equal) => outside.dot(normal(0)) < -0.5 * found.distance,

@@ -35,6 +35,7 @@ mod gravity;
 mod layer_contact;
 mod material;
 mod passes;
+pub mod profile;
 mod self_contact;
 mod settings;
 mod shear;
@@ -52,10 +53,11 @@ use glam::DVec3;
 
 use bending::Bending;
 use body_contact::BodyContact;
-use contact::Contacts;
+use contact::{Contacts, Moment};
 use fabric::Fabric;
 use layer_contact::LayerContact;
 use passes::Passes;
+use profile::{Part, Stopwatch};
 use self_contact::SelfContact;
 use shear::Shear;
 use state::{State, metres};
@@ -105,6 +107,7 @@ pub struct Engine {
     waistband: Option<Waistband>,
     contacts: Option<Contacts>,
     passes: Passes,
+    stopwatch: Stopwatch,
     /// Substeps since the start.
     clock: u32,
 }
@@ -176,12 +179,13 @@ impl Engine {
                 .then(|| Stretch::new(&fabric, settings.stretch_damping_s)),
             shear: has(Effect::Shear).then(|| Shear::new(garments, &fabric)),
             bending: has(Effect::Bending)
-                .then(|| Bending::new(&fabric, settings.bending_damping_s)),
+                .then(|| Bending::new(&fabric, &state, settings.bending_damping_s)),
             fabric,
             state,
             waistband,
             contacts,
             passes: Passes::default(),
+            stopwatch: Stopwatch::new(),
             clock: 0,
         };
         engine.watch_layers(true);
@@ -219,6 +223,7 @@ impl Engine {
         }
         let air = air_velocity(wind)?;
 
+        let start = self.stopwatch.start();
         let substeps = self.settings.substeps;
         let h = dt_s / f64::from(substeps);
         let from: Vec<DVec3> = self.state.x[cloth..].to_vec();
@@ -241,14 +246,18 @@ impl Engine {
                     from.lerp(*to, t)
                 };
             }
-            self.substep(h, air, body_velocity, &mut report);
+            let left = substeps - substep + 1;
+            self.substep(h, left, air, body_velocity, &mut report);
         }
         self.check_range()?;
+        let sides = self.stopwatch.start();
         self.watch_layers(report.uncertified > 0);
+        self.stopwatch.stop(Part::Sides, sides);
         report.top_speed_m_s = self.state.v[..cloth]
             .iter()
             .map(|v| v.length())
             .fold(0.0, f64::max);
+        self.stopwatch.end_frame(start);
         Ok(report)
     }
 
@@ -269,71 +278,107 @@ impl Engine {
         self.passes.of(effect)
     }
 
-    /// One substep; the body's positions at its end are in `state.p` already.
-    fn substep(&mut self, h: f64, air: DVec3, body_velocity: DVec3, report: &mut StepReport) {
+    /// One substep, `left` of the frame with it; the body's positions at its end are in `state.p` already.
+    fn substep(
+        &mut self,
+        h: f64,
+        left: u32,
+        air: DVec3,
+        body_velocity: DVec3,
+        report: &mut StepReport,
+    ) {
         let Self {
             state,
             fabric,
             passes,
             settings,
+            stopwatch: watch,
             ..
         } = self;
         if let Some(gravity) = self.gravity {
             passes.count(Effect::Gravity);
+            let start = watch.start();
             gravity::apply(state, gravity, h);
+            watch.stop(Part::Effect(Effect::Gravity), start);
         }
         if self.drag {
             passes.count(Effect::AirDrag);
+            let start = watch.start();
             drag::apply(state, fabric, h);
+            watch.stop(Part::Effect(Effect::AirDrag), start);
         }
         if self.wind {
             passes.count(Effect::Wind);
+            let start = watch.start();
             wind::apply(state, fabric, air, h);
+            watch.stop(Part::Effect(Effect::Wind), start);
         }
+        let start = watch.start();
         state.limit_speeds(body_velocity, settings.speed_limit_m_s);
         state.predict(h);
+        watch.stop(Part::Inertia, start);
         if let Some(waistband) = &self.waistband {
             passes.count(Effect::Waistband);
+            let start = watch.start();
             waistband.follow(state, h);
+            watch.stop(Part::Effect(Effect::Waistband), start);
         }
         if let Some(contacts) = &mut self.contacts {
-            contacts.prepare(fabric, state, settings, (self.clock, h), passes, report);
+            let moment = Moment {
+                now: self.clock,
+                h,
+                left,
+                settings,
+            };
+            contacts.prepare(fabric, state, moment, passes, watch, report);
         }
         if let Some(bending) = &mut self.bending {
             passes.count(Effect::Bending);
+            let start = watch.start();
             bending.solve(state, h);
+            watch.stop(Part::Effect(Effect::Bending), start);
         }
         if let Some(shear) = &mut self.shear {
             passes.count(Effect::Shear);
+            let start = watch.start();
             shear.solve(state, h);
+            watch.stop(Part::Effect(Effect::Shear), start);
         }
         if let Some(stretch) = &mut self.stretch {
+            let start = watch.start();
             stretch.reset();
             for iteration in 0..settings.iterations {
                 passes.count(Effect::Stretch);
                 stretch.solve(state, h, iteration % 2 == 1);
             }
+            watch.stop(Part::Effect(Effect::Stretch), start);
         }
         if let Some(contacts) = &mut self.contacts {
             for _ in 0..settings.contact_iterations {
                 if self.friction {
                     passes.count(Effect::Friction);
                 }
-                contacts.solve(state, self.friction);
+                contacts.solve(state, self.friction, watch);
             }
-            let outcome = contacts.certify(fabric, state);
+            let outcome = contacts.certify(fabric, state, watch);
             report.repaired += u64::from(outcome.failed);
             report.uncertified += u64::from(outcome.left);
         }
+        let start = watch.start();
         state.finish(h);
+        watch.stop(Part::Inertia, start);
         if let Some(contacts) = &mut self.contacts {
-            contacts.finish(state, h);
+            contacts.finish(state, h, watch);
         }
         if let Some(bending) = &self.bending {
+            let start = watch.start();
             bending.damp(state, h);
+            watch.stop(Part::Effect(Effect::Bending), start);
         }
         if let Some(stretch) = &self.stretch {
+            let start = watch.start();
             stretch.damp(state, h);
+            watch.stop(Part::Effect(Effect::Stretch), start);
         }
         self.clock += 1;
     }

@@ -4,9 +4,8 @@
 //! asks for more than 0.7 of its distance at rest.
 
 use super::contact::list::PairList;
-use super::contact::pair::separation;
-use super::contact::search::Candidate;
-use super::fabric::Fabric;
+use super::contact::pair::{Features, separation};
+use super::contact::search::Search;
 
 /// Share of the distance at rest that a pair may ask for.
 const REST_SHARE: f64 = 0.7;
@@ -26,24 +25,24 @@ impl SelfContact {
         }
     }
 
-    /// Starts over; how far to look.
-    pub fn begin_search(&mut self) -> f64 {
-        self.list.pairs.clear();
-        self.thickness
-    }
-
-    /// Takes a candidate of one garment up.
-    pub fn add(&mut self, found: &Candidate, fabric: &Fabric, substeps: f64, now: u32) {
-        let rest = separation(found.features, found.vertices, &fabric.rest)
-            .d
-            .length();
-        let thickness = self.thickness.min(REST_SHARE * rest);
-        if found.distance > thickness + found.rate * substeps {
-            return;
+    /// Lists the pairs that can matter before the next search.
+    pub fn search(&mut self, within: &Search) {
+        self.list.begin(within.now, within.substeps);
+        let (reach, list) = (within.reach(self.thickness), &mut self.list);
+        let thickness = self.thickness;
+        let mut take = |vertices, features| {
+            let found = within.measure(vertices, features);
+            let fabric = within.fabric;
+            let rest = separation(features, vertices, &fabric.rest).d.length();
+            let thickness = thickness.min(REST_SHARE * rest);
+            let friction = fabric.cloth_of(vertices[0]).friction;
+            if let Some(pair) = within.pair(&found, thickness, friction) {
+                list.push(pair);
+            }
+        };
+        for garment in &within.surfaces.garments {
+            garment.vertices_and_faces(garment, reach, |v| take(v, Features::VertexFace));
+            garment.own_edges(reach, |v| take(v, Features::EdgeEdge));
         }
-        let friction = fabric.cloth_of(found.vertices[0]).friction;
-        self.list
-            .pairs
-            .push(found.pair(thickness, friction, false, now));
     }
 }

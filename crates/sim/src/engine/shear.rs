@@ -65,11 +65,12 @@ impl Shear {
     /// The one pass of a substep over all faces.
     pub fn solve(&self, state: &mut State, h: f64) {
         for weave in &self.weaves {
-            let corners = weave.corners.map(|v| v as usize);
-            let (error, gradient) = weave.shear(corners.map(|i| state.p[i]));
-            let w: f64 = (0..3)
-                .map(|k| state.w[corners[k]] * gradient[k].length_squared())
-                .sum();
+            let [a, b, c] = weave.corners;
+            let corners = [a as usize, b as usize, c as usize];
+            let at = |k: usize| state.p[corners[k]];
+            let (error, gradient) = weave.shear([at(0), at(1), at(2)]);
+            let share = |k: usize| state.w[corners[k]] * gradient[k].length_squared();
+            let w = share(0) + share(1) + share(2);
             let s = weave.stiffness * h * h;
             let lambda = -s * error / (1.0 + s * w);
             for (k, &i) in corners.iter().enumerate() {
@@ -85,10 +86,8 @@ impl Weave {
     fn shear(&self, x: [DVec3; 3]) -> (f64, [DVec3; 3]) {
         let sum = |k: &[f64; 3]| k[0] * x[0] + k[1] * x[1] + k[2] * x[2];
         let (fu, fv) = (sum(&self.u), sum(&self.v));
-        (
-            fu.dot(fv),
-            std::array::from_fn(|k| self.u[k] * fv + self.v[k] * fu),
-        )
+        let along = |k: usize| self.u[k] * fv + self.v[k] * fu;
+        (fu.dot(fv), [along(0), along(1), along(2)])
     }
 }
 

@@ -47,10 +47,8 @@ impl Stretch {
                 lambda: 0.0,
             }
         };
-        Self {
-            springs: fabric.edges.iter().enumerate().map(spring).collect(),
-            damping_s,
-        }
+        let springs = fabric.edges.iter().enumerate().map(spring).collect();
+        Self { springs, damping_s }
     }
 
     /// Starts a substep.
@@ -66,7 +64,7 @@ impl Stretch {
         let count = self.springs.len();
         for number in 0..count {
             let spring = &mut self.springs[if back { count - 1 - number } else { number }];
-            let [i, j] = spring.ends.map(|v| v as usize);
+            let (i, j) = (spring.ends[0] as usize, spring.ends[1] as usize);
             let (wi, wj) = (state.w[i], state.w[j]);
             let d = state.p[i] - state.p[j];
             let length = d.length();
@@ -86,7 +84,7 @@ impl Stretch {
     /// Slows lengthening and shortening for `h` seconds.
     pub fn damp(&self, state: &mut State, h: f64) {
         for spring in &self.springs {
-            let [i, j] = spring.ends.map(|v| v as usize);
+            let (i, j) = (spring.ends[0] as usize, spring.ends[1] as usize);
             let (wi, wj) = (state.w[i], state.w[j]);
             let d = state.x[i] - state.x[j];
             let length = d.length();

@@ -25,6 +25,10 @@ pub(super) struct Anatomy {
     pub neck_section: (DVec2, DVec2),
     /// Hulls of the trunk and both legs, without arms.
     pub trunk: Sections,
+    /// Hulls of head and neck, each covering what is above it from the widest level down.
+    pub head: Sections,
+    /// Where a hood's edge runs beside the face, seen from the side.
+    pub face_y: f64,
 }
 
 impl Anatomy {
@@ -59,6 +63,16 @@ impl Anatomy {
             DVec2::new(extent(|p| p.x).min(1.0), 0.5 * (back + front)),
         );
         let (spine, lower) = (at("Spine")?, at("LowerBack")?);
+        let crown = p.iter().map(|p| p.z).fold(0.0, f64::max);
+        let mut head = Sections::cut(
+            &p,
+            body.faces(),
+            &chosen,
+            0.0,
+            0.15,
+            (crown / 0.15) as usize + 2,
+        );
+        head.hang_from(at("Head")?.z + 0.8);
         Ok(Self {
             shoulder,
             elbow: at("LeftForeArm")?,
@@ -72,6 +86,8 @@ impl Anatomy {
             crotch_z: hip.z - 0.75,
             neck_section,
             trunk: Sections::cut(&p, body.faces(), &chosen, 0.0, 0.15, (top / 0.15) as usize),
+            head,
+            face_y: at("Head")?.y - 0.45,
         })
     }
 

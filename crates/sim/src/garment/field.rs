@@ -9,6 +9,8 @@
 use drape_geometry::closest::point_triangle;
 use glam::DVec3;
 
+use super::surface::Cut;
+
 /// Beyond this distance from the body (units) the signed distance is clamped.
 pub(super) const BAND: f64 = 0.8;
 
@@ -121,6 +123,30 @@ impl Field {
                 }
             }
         }
+    }
+
+    /// The field of what is left when everything where a cut is positive is taken
+    /// away. It closes over `BEYOND` units outside the cut at a slope, so that what
+    /// is worn over it does so too.
+    pub fn trimmed(&self, cuts: &[Cut]) -> Self {
+        const BEYOND: f64 = 0.3;
+        const SLOPE: f64 = 0.5;
+        self.map(|i, p| {
+            let value = self.values[i];
+            if value > BAND {
+                return value;
+            }
+            let outside = cuts
+                .iter()
+                .map(|cut| cut(p))
+                .fold(f64::NEG_INFINITY, f64::max);
+            value.max(SLOPE * (outside - BEYOND))
+        })
+    }
+
+    /// The smaller value at every node of the same grid: both solids together.
+    pub fn joined(&self, other: &Self) -> Self {
+        self.map(|i, _| self.values[i].min(other.values[i]))
     }
 
     pub fn index(&self, [x, y, z]: [usize; 3]) -> usize {

@@ -6,13 +6,16 @@ use std::sync::Arc;
 use drape_dataset::registry::GarmentKind;
 use drape_dataset::sequence::{Garment, Material};
 use drape_geometry::intersect;
+use drape_geometry::mesh::edges;
 use drape_geometry::vector::distance2;
 use glam::{DQuat, DVec2, DVec3};
 
 use super::anatomy::Anatomy;
+use super::cuts::{Alteration, Cuts, cuts};
 use super::field::Field;
 use super::flatten::{Flat, flatten, pack};
-use super::pattern::{GarmentParameters, Pattern, pattern};
+use super::parameters::GarmentParameters;
+use super::pattern;
 use super::remesh::remesh;
 use super::surface::{Cut, Surface};
 use crate::body::{Body, Pose, ShapedBody};
@@ -25,8 +28,20 @@ const SCALE: f64 = 10.0;
 /// Distance between the fields of two layers, in units.
 const LAYER_GAP: f64 = 0.14;
 
-/// Edge lengths that are tried in turn, as multiples of the one asked for.
-const EDGE_SCALES: [f64; 5] = [1.0, 0.97, 1.03, 0.94, 1.06];
+/// What is tried in turn: edge lengths, as multiples of the one asked for, and how
+/// far (units) the side and shoulder seams and the nape's edge come forward. A remeshing that comes
+/// out crooked somewhere does not do so at another edge length, unless two cuts
+/// nearly touch: then one of them has to go elsewhere.
+const TRIALS: [(f64, f64); 8] = [
+    (1.0, 0.0),
+    (0.97, 0.0),
+    (1.03, 0.0),
+    (0.94, 0.0),
+    (1.06, 0.0),
+    (1.0, 0.3),
+    (0.97, 0.3),
+    (1.03, 0.3),
+];
 /// Shortest edge allowed, as a multiple of the target.
 const SHORTEST_EDGE: f64 = 0.1;
 
@@ -37,6 +52,10 @@ pub struct OutfitRequest<'a> {
     pub garments: &'a [(GarmentParameters, Material)],
     /// Target edge length in metres (0.01–0.06).
     pub edge_m: f64,
+    /// Inner garments end at their hems for the garments over them too: pants
+    /// over a T-shirt are pants. Otherwise the outer garment follows the inner
+    /// one's shape also where that was cut away.
+    pub trimmed_layers: bool,
 }
 
 /// Garments that fit, and the body they were fitted on.
@@ -93,37 +112,56 @@ impl Outfit {
             body: positions,
         };
         for (layer, (parameters, material)) in request.garments.iter().enumerate() {
-            let made = pattern(parameters, &anatomy, &distance, inner.as_ref(), LAYER_GAP)?;
-            let name = name(parameters.kind);
-            let attempt = |scale: f64| {
-                let made = sew(&made, name, parameters.kind, layer, *material, scale * edge)?;
+            let field = pattern::field(parameters, &anatomy, &distance, inner.as_ref(), LAYER_GAP)?;
+            let collar = request.trimmed_layers.then_some(LAYER_GAP * layer as f64);
+            let attempt = |(scale, forward): (f64, f64)| {
+                let alteration = Alteration { forward, collar };
+                let cuts = cuts(parameters, &anatomy, alteration);
+                let made = sew(
+                    &field,
+                    &cuts,
+                    parameters.kind,
+                    layer,
+                    *material,
+                    scale * edge,
+                )?;
                 outfit.check(body, &made.0, edge)?;
                 Ok(made)
             };
-            // A remeshing that comes out crooked somewhere does not do so at another edge length.
-            let (garment, waistband) = EDGE_SCALES[1..]
+            let (garment, waistband) = TRIALS[1..]
                 .iter()
-                .fold(attempt(EDGE_SCALES[0]), |made, &scale| {
-                    made.or_else(|_: SimError| attempt(scale))
+                .fold(attempt(TRIALS[0]), |made, &trial| {
+                    made.or_else(|_: SimError| attempt(trial))
                 })?;
             outfit.garments.push(garment);
             outfit.waistbands.push(waistband);
-            inner = Some(made.field);
+            inner = Some(if request.trimmed_layers {
+                let forward = 0.0;
+                let cuts = cuts(parameters, &anatomy, Alteration { forward, collar });
+                let worn = field.trimmed(&cuts.removed);
+                inner.map_or_else(|| worn.clone(), |inner| inner.joined(&worn))
+            } else {
+                field
+            });
         }
         Ok(outfit)
     }
 
     fn check(&self, body: &Body, garment: &Garment, edge: f64) -> Result<()> {
-        let shortest = garment
-            .faces
-            .iter()
-            .flat_map(|f| (0..3).map(move |k| [f[k], f[(k + 1) % 3]]))
-            .map(|e| distance2(garment.rest[e[0] as usize], garment.rest[e[1] as usize]))
-            .fold(f32::INFINITY, f32::min)
-            .sqrt();
-        if f64::from(shortest) < SHORTEST_EDGE * edge {
-            let reason = format!("an edge of {shortest:.4} units, too short for the mesh");
-            return Err(SimError::fit(&garment.name, reason));
+        let length2 =
+            |e: &[u32; 2]| distance2(garment.rest[e[0] as usize], garment.rest[e[1] as usize]);
+        let shortest = edges(&garment.faces)
+            .into_iter()
+            .min_by(|a, b| length2(a).total_cmp(&length2(b)));
+        if let Some(e) = shortest {
+            let length = f64::from(length2(&e)).sqrt();
+            if length < SHORTEST_EDGE * edge {
+                let [x, y, z] = garment.rest[e[0] as usize];
+                let reason = format!(
+                    "an edge of {length:.4} units, too short for the mesh, at ({x:.2}, {y:.2}, {z:.2})"
+                );
+                return Err(SimError::fit(&garment.name, reason));
+            }
         }
         let problem = |count: u32, with: &str| {
             if count == 0 {
@@ -149,27 +187,16 @@ impl Outfit {
     }
 }
 
-fn name(kind: GarmentKind) -> &'static str {
-    match kind {
-        GarmentKind::Jacket => "jacket",
-        GarmentKind::JacketHood => "jacket-hood",
-        GarmentKind::Dress => "dress",
-        GarmentKind::Jumpsuit => "jumpsuit",
-        GarmentKind::Skirt => "skirt",
-        GarmentKind::Pants => "pants",
-        GarmentKind::TShirt => "t-shirt",
-    }
-}
-
 fn sew(
-    made: &Pattern,
-    name: &str,
+    field: &Field,
+    made: &Cuts,
     kind: GarmentKind,
     layer: usize,
     material: Material,
     edge: f64,
 ) -> Result<(Garment, Vec<u32>)> {
-    let mut surface = Surface::extract(&made.field);
+    let name = kind.name();
+    let mut surface = Surface::extract(field);
     for (k, cut) in made.removed.iter().enumerate() {
         surface.cut(cut, k as u32, true);
     }
@@ -180,7 +207,7 @@ fn sew(
     }
     surface.keep_features();
     let cuts: Vec<&Cut> = made.removed.iter().chain(&made.seams).collect();
-    let surface = remesh(surface, &made.field, &cuts, edge, 8);
+    let surface = remesh(surface, field, &cuts, edge, 8);
     if surface.faces.is_empty() {
         return Err(SimError::fit(name, "nothing is left of it"));
     }

@@ -20,6 +20,8 @@ pub(super) struct Limbs {
     /// Arm forward.
     pub arm_swing: f64,
     pub elbow_flexion: f64,
+    /// A forward arm over to the other side.
+    pub arm_cross: f64,
 }
 
 /// Angles of the whole body in radians, relative to the rest pose.
@@ -35,6 +37,8 @@ pub(super) struct Angles {
     pub twist: f64,
     /// Pelvis tilt to the left side.
     pub pelvis: f64,
+    /// Height above where the feet would stand, in units.
+    pub rise: f64,
 }
 
 /// Joints of a side: hip, knee, foot, arm, forearm.
@@ -80,7 +84,8 @@ pub(super) fn pose_from_angles(body: &Body, rest: &Pose, angles: &Angles) -> Res
         turn(names[2], DQuat::from_rotation_x(-limbs.ankle_flexion))?;
         turn(
             names[3],
-            DQuat::from_rotation_x(-limbs.arm_swing)
+            DQuat::from_rotation_z(outward * limbs.arm_cross)
+                * DQuat::from_rotation_x(-limbs.arm_swing)
                 * DQuat::from_rotation_y(outward * limbs.arm_raise),
         )?;
         turn(names[4], DQuat::from_rotation_x(-limbs.elbow_flexion))?;

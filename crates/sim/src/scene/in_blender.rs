@@ -6,7 +6,6 @@ use std::ops::ControlFlow;
 use drape_dataset::registry::Effect;
 use drape_dataset::sequence::{Frame, SequenceHeader, Wind};
 
-use super::clean::keep_clean;
 use super::recipe::Recipe;
 use super::simulate::{Mover, Progress, SCALE, Stage, run};
 use crate::blender::{Blender, Job, Run, SharedMaterials};
@@ -14,12 +13,11 @@ use crate::error::{Result, SimError};
 
 /// Simulates a recipe made [`for_blender`](Recipe::for_blender) as
 /// [`simulate`](super::simulate) does with our engine; the header says what
-/// Blender made of the materials. Frames from the first intersection on are cut
-/// off.
+/// Blender made of the materials. Nothing but the solver is different: frames
+/// may have intersections, counted in each.
 ///
 /// # Errors
-/// As [`simulate`](super::simulate), when Blender fails, and
-/// [`SimError::NotClean`] when less than nine tenths of the frames are clean.
+/// As [`simulate`](super::simulate), and when Blender fails.
 pub fn simulate_in_blender(
     recipe: &Recipe,
     blender: &Blender,
@@ -30,7 +28,7 @@ pub fn simulate_in_blender(
         return Err(SimError::value("recipe.blender", expected, "none"));
     };
     settings.validate()?;
-    let (mut header, mut frames) = run(recipe, progress, |stage, header| {
+    run(recipe, progress, |stage, header| {
         let asked: Vec<_> = header.garments.iter().map(|g| g.material).collect();
         let shared = SharedMaterials::of(&asked)?;
         describe(header, &shared, blender);
@@ -51,9 +49,7 @@ pub fn simulate_in_blender(
             warm_up_frames: recipe.lead_in.still + 1,
         };
         Run::start(blender, &job, &shared)
-    })?;
-    keep_clean(&mut header, &mut frames)?;
-    Ok((header, frames))
+    })
 }
 
 impl Mover for Run {

@@ -3,6 +3,8 @@
 //! Every part of a scene has a random stream of its own under the sequence's
 //! seed, so that changing one range leaves the other parts as they were.
 
+use std::path::PathBuf;
+
 use drape_dataset::random::stream;
 use drape_dataset::registry::GarmentKind;
 use drape_dataset::sequence::Material;
@@ -10,13 +12,14 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use super::recipe::{Recipe, RecipeGarment};
+use super::cut_range::CutRange;
+use super::recipe::{BodyGap, Recipe, RecipeGarment};
 use super::wind;
 use crate::body::ShapeRanges;
 use crate::engine::EngineSettings;
 use crate::error::{Result, SimError};
 use crate::garment::GarmentParameters;
-use crate::motion::{LeadIn, Motion};
+use crate::motion::{Clip, LeadIn, Motion, MotionFamily};
 
 /// Ranges of scenes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -24,6 +27,17 @@ use crate::motion::{LeadIn, Motion};
 pub struct SceneRanges {
     /// Outfits, inner garment first; sequences take them in turn.
     pub outfits: Vec<Vec<GarmentKind>>,
+    /// How garments are cut.
+    pub cuts: CutRange,
+    /// Families of motions; sequences take them in turn.
+    pub motions: Vec<MotionFamily>,
+    /// BVH files with recorded motions; sequences take them and the families in turn.
+    pub clips: Vec<PathBuf>,
+    /// Gap in metres that limbs keep from the rest of the body: at least 0.004,
+    /// more where cloth lies between; 0 leaves the motions as they are.
+    pub body_gap_m: f64,
+    /// Units of time and force.
+    pub units: Units,
     /// Frames per second.
     pub fps: f32,
     /// Vertices of an outfit, roughly: the meshes' edge length follows from it.
@@ -77,6 +91,11 @@ impl Default for SceneRanges {
                 vec![Pants, Dress],
                 vec![Dress, Jacket],
             ],
+            cuts: CutRange::Common,
+            motions: vec![MotionFamily::Mixed],
+            clips: Vec::new(),
+            body_gap_m: 0.0,
+            units: Units::Real,
             fps: 30.0,
             outfit_vertices: 1650.0,
             pace: [0.5, 0.75],
@@ -85,6 +104,26 @@ impl Default for SceneRanges {
             lead_in: LeadIn { still: 8, ease: 40 },
             body: ShapeRanges::default(),
             material: MaterialRanges::default(),
+        }
+    }
+}
+
+/// Units of time and force that a scene is simulated in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Units {
+    /// The earth's gravity at scale 10: 98.1 units/s².
+    Real,
+    /// Blender's frame time as in D-LAYERS, where garments float: 8.83 units/s² at 30 frames/s.
+    DLayers,
+}
+
+impl Units {
+    /// Acceleration of gravity along Z in units/s².
+    pub fn gravity(self) -> f32 {
+        match self {
+            Self::Real => -98.1,
+            Self::DLayers => -8.83,
         }
     }
 }
@@ -133,6 +172,14 @@ impl SceneRanges {
         ] {
             range(name, values, [0.0, 1.0])?;
         }
+        range("body_gap_m", [self.body_gap_m; 2], [0.0, 0.05])?;
+        if self.motions.is_empty() && self.clips.is_empty() {
+            return Err(SimError::value(
+                "scene.motions",
+                "at least one family of motions, or scene.clips",
+                "none",
+            ));
+        }
         if self.outfits.is_empty() || self.outfits.iter().any(Vec::is_empty) {
             return Err(SimError::value(
                 "scene.outfits",
@@ -141,6 +188,24 @@ impl SceneRanges {
             ));
         }
         Ok(())
+    }
+
+    /// Motion of the `number`th sequence: families and clips in turn, and shifted at
+    /// every round of the outfits, so that each outfit meets all of them.
+    fn motion(&self, number: usize, rng: &mut ChaCha8Rng) -> Motion {
+        let round = number / self.outfits.len();
+        let turn = (number + round) % (self.motions.len() + self.clips.len());
+        match self.motions.get(turn) {
+            Some(family) => family.sample(rng),
+            None => Motion {
+                clip: Some(Clip {
+                    path: self.clips[turn - self.motions.len()].clone(),
+                    start: rng.random(),
+                    pace: 1.0,
+                }),
+                ..Motion::default()
+            },
+        }
     }
 
     /// Draws the recipe of sequence `name`, the `number`th of its split.
@@ -155,11 +220,18 @@ impl SceneRanges {
         let part = |part: &str| stream(seed, &format!("{name}/{part}"));
         let material = &self.material;
         let mut rng = part("garments");
-        let garments: Vec<RecipeGarment> = self.outfits[number % self.outfits.len()]
+        let outfit = &self.outfits[number % self.outfits.len()];
+        let is_jacket =
+            |kind: &GarmentKind| matches!(kind, GarmentKind::Jacket | GarmentKind::JacketHood);
+        let garments: Vec<RecipeGarment> = outfit
             .iter()
-            .map(|&kind| RecipeGarment {
-                parameters: sample_garment(kind, &mut rng),
-                material: material.sample(&mut rng),
+            .enumerate()
+            .map(|(layer, &kind)| {
+                let under_jacket = outfit[layer + 1..].iter().any(is_jacket);
+                RecipeGarment {
+                    parameters: self.cuts.sample(kind, under_jacket, &mut rng),
+                    material: material.sample(&mut rng),
+                }
             })
             .collect();
         let mut rng = part("scene");
@@ -176,9 +248,15 @@ impl SceneRanges {
             body_friction,
             edge_m: edge_for(self.outfit_vertices, &garments, shape.height),
             garments,
-            gravity: [0.0, 0.0, -98.1],
-            motion: Motion::sample(&mut part("motion"))
+            trimmed_layers: self.cuts == CutRange::All,
+            gravity: [0.0, 0.0, self.units.gravity()],
+            motion: self
+                .motion(number, &mut part("motion"))
                 .at_pace(between(&mut part("pace"), self.pace)),
+            body_gap: (self.body_gap_m > 0.0).then_some(BodyGap {
+                gap_m: self.body_gap_m,
+                frames,
+            }),
             lead_in: self.lead_in,
             wind: if calm {
                 Vec::new()
@@ -205,25 +283,6 @@ impl MaterialRanges {
     }
 }
 
-/// Cuts that look like the kind: jackets have long sleeves, T-shirts short ones.
-fn sample_garment(kind: GarmentKind, rng: &mut ChaCha8Rng) -> GarmentParameters {
-    let mut draw = |low: f64, high: f64| between(rng, [low, high]);
-    let (ease_m, sleeve, flare) = match kind {
-        GarmentKind::TShirt => (draw(0.02, 0.06), draw(0.4, 0.8), 0.0),
-        GarmentKind::Jacket | GarmentKind::JacketHood => (draw(0.025, 0.05), draw(1.3, 1.75), 0.0),
-        GarmentKind::Dress => (draw(0.02, 0.04), 0.0, draw(0.1, 0.35)),
-        GarmentKind::Skirt => (draw(0.01, 0.03), 0.0, draw(0.1, 0.4)),
-        GarmentKind::Pants | GarmentKind::Jumpsuit => (draw(0.01, 0.04), 0.0, draw(0.0, 0.15)),
-    };
-    GarmentParameters {
-        kind,
-        length: draw(0.1, 0.9),
-        ease_m,
-        sleeve,
-        flare,
-    }
-}
-
 /// Edge length in metres with which an outfit has about so many vertices.
 ///
 /// The counts at 33 mm were measured on drawn outfits; single outfits are up
@@ -238,8 +297,10 @@ fn edge_for(vertices: f64, garments: &[RecipeGarment], height: f64) -> f64 {
         } = garment.parameters;
         match kind {
             GarmentKind::TShirt => 650.0,
-            GarmentKind::Jacket | GarmentKind::JacketHood => 1020.0,
-            GarmentKind::Pants | GarmentKind::Jumpsuit => 500.0 + 750.0 * length,
+            GarmentKind::Jacket => 1020.0,
+            GarmentKind::JacketHood => 1250.0,
+            GarmentKind::Pants => 500.0 + 750.0 * length,
+            GarmentKind::Jumpsuit => 1000.0 + 750.0 * length,
             GarmentKind::Skirt => 450.0 + 750.0 * length + 700.0 * flare,
             GarmentKind::Dress => 900.0 + 700.0 * length + 700.0 * flare,
         }
@@ -249,6 +310,6 @@ fn edge_for(vertices: f64, garments: &[RecipeGarment], height: f64) -> f64 {
     (0.033 * (all * taller / vertices).sqrt()).clamp(0.01, 0.06)
 }
 
-fn between(rng: &mut ChaCha8Rng, [low, high]: [f64; 2]) -> f64 {
+pub(super) fn between(rng: &mut ChaCha8Rng, [low, high]: [f64; 2]) -> f64 {
     low + (high - low) * rng.random::<f64>()
 }

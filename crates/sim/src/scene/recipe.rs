@@ -31,10 +31,16 @@ pub struct Recipe {
     pub garments: Vec<RecipeGarment>,
     /// Target edge length of the garments' meshes in metres.
     pub edge_m: f64,
+    /// Whether inner garments end at their hems for the garments over them too.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub trimmed_layers: bool,
     /// Acceleration of gravity in units/s².
     pub gravity: [f32; 3],
     /// Movement of the body.
     pub motion: Motion,
+    /// Room that limbs keep from the rest of the body; without it the motion stays as it is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub body_gap: Option<BodyGap>,
     /// Frames before the first recorded one.
     pub lead_in: LeadIn,
     /// Wind, pivots in order; empty when calm.
@@ -44,6 +50,20 @@ pub struct Recipe {
     /// Settings of Blender, if it makes the sequence.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub blender: Option<BlenderSettings>,
+}
+
+fn is_false(x: &bool) -> bool {
+    !x
+}
+
+/// How limbs are kept clear of the body.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BodyGap {
+    /// Gap in metres.
+    pub gap_m: f64,
+    /// Recorded frames of the motion that are looked at, whatever number of them is simulated.
+    pub frames: usize,
 }
 
 /// A garment of a recipe.

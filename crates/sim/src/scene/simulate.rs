@@ -6,18 +6,20 @@
 
 use std::ops::ControlFlow;
 
+use drape_dataset::intersections::count_intersections;
 use drape_dataset::sequence::{
     BodyTopology, Frame, Intersections, Root, SceneMeta, SequenceHeader, Wind,
 };
-use drape_geometry::intersect::{count_between, count_within};
+use drape_geometry::intersect::count_within;
 
 use super::effects::active_effects;
-use super::recipe::Recipe;
+use super::recipe::{BodyGap, Recipe};
 use super::wind::wind_at;
 use crate::body::{Body, Pose, ShapedBody};
 use crate::engine::{Engine, ScenePhysics};
 use crate::error::{Result, SimError};
 use crate::garment::{METRES_PER_UV, Outfit, OutfitRequest, fitting_pose};
+use crate::motion::keep_clear;
 
 /// Scene units per metre.
 pub(super) const SCALE: f32 = 10.0;
@@ -27,8 +29,10 @@ pub(super) const SCALE: f32 = 10.0;
 pub struct Progress {
     /// Frames done, lead-in included.
     pub done: usize,
-    /// Frames in all, lead-in included.
+    /// Frames in all, lead-in included; fewer than asked for when the motion had to be cut.
     pub of: usize,
+    /// Hits in the frame that was done last; none while in the lead-in.
+    pub intersections: Option<Intersections>,
 }
 
 /// Simulates a recipe; `substeps` replaces the engine's number of steps a
@@ -127,17 +131,27 @@ pub(super) fn run<M: Mover>(
         &OutfitRequest {
             garments: &garments,
             edge_m: recipe.edge_m,
+            trimmed_layers: recipe.trimmed_layers,
         },
     )?;
     let rest = fitting_pose(&body, &shaped)?;
     let fps = f64::from(recipe.fps);
     let lead = recipe.lead_in;
-    let poses = recipe
-        .motion
-        .poses(&body, &shaped, &rest, fps, lead, recipe.frames)?;
     let first = lead.still + lead.ease;
+    let looked_at = recipe.body_gap.map_or(0, |gap| gap.frames);
+    let mut poses = recipe.motion.poses(
+        &body,
+        &shaped,
+        &rest,
+        fps,
+        lead,
+        recipe.frames.max(looked_at),
+    )?;
+    let cleared = make_room(recipe, &body, &shaped, &mut poses)?;
+    poses.truncate(first + recipe.frames);
 
     let mut header = header(recipe, &body, &outfit);
+    header.scene.warnings.extend(cleared);
     let stage = Stage {
         recipe,
         outfit: &outfit,
@@ -161,6 +175,7 @@ pub(super) fn run<M: Mover>(
         let now = Progress {
             done: number + 1,
             of: poses.len(),
+            intersections: frames.last().and_then(|frame| frame.intersections),
         };
         if progress(now).is_break() {
             return Err(SimError::Stopped { frame: number + 1 });
@@ -173,6 +188,37 @@ pub(super) fn run<M: Mover>(
         ));
     }
     Ok((header, frames))
+}
+
+/// Turns limbs away from the body and cuts the motion before the first frame
+/// in which one stays too close; says what it did.
+fn make_room(
+    recipe: &Recipe,
+    body: &Body,
+    shaped: &ShapedBody,
+    poses: &mut Vec<Pose>,
+) -> Result<Vec<String>> {
+    let Some(BodyGap { gap_m, .. }) = recipe.body_gap else {
+        return Ok(Vec::new());
+    };
+    let gap = gap_m * f64::from(SCALE);
+    let clearance = keep_clear(body, shaped, poses, recipe.lead_in.still, gap)?;
+    let mut said = Vec::new();
+    let mm = gap_m * 1e3;
+    if !clearance.turned.is_empty() {
+        said.push(format!(
+            "limbs turned away to keep {mm:.0} mm from the body in {} of {} frames, lead-in included",
+            clearance.turned.len(),
+            poses.len()
+        ));
+    }
+    if let Some(&first) = clearance.tight.first() {
+        said.push(format!(
+            "frames from {first} on were cut, lead-in included: a limb is nearer than {mm:.0} mm to the body"
+        ));
+        poses.truncate(first);
+    }
+    Ok(said)
 }
 
 fn header(recipe: &Recipe, body: &Body, outfit: &Outfit) -> SequenceHeader {
@@ -233,20 +279,4 @@ fn frame(
     }
     frame.intersections = Some(count_intersections(header, &frame));
     Ok(frame)
-}
-
-/// Edge–triangle hits of one frame.
-fn count_intersections(header: &SequenceHeader, frame: &Frame) -> Intersections {
-    let mut counts = Intersections::default();
-    let meshes: Vec<_> = frame.garments.iter().zip(&header.garments).collect();
-    for (i, (positions, garment)) in meshes.iter().enumerate() {
-        counts.within_garments += count_within(positions, &garment.faces);
-        counts.with_body +=
-            count_between(positions, &garment.faces, &frame.body, &header.body.faces);
-        for (others, other) in &meshes[i + 1..] {
-            counts.between_garments +=
-                count_between(positions, &garment.faces, others, &other.faces);
-        }
-    }
-    counts
 }

@@ -17,6 +17,7 @@ use drape_dataset::sample::{Outfit, StatePair};
 use drape_geometry::grid::Grid;
 use drape_geometry::normals::vertex_normals;
 use drape_model::kernels::for_all_with;
+use rayon::prelude::*;
 
 use super::normal::{MeshNormals, dot};
 use super::{Term, Vector};
@@ -105,10 +106,10 @@ fn hits(
         (s < 0.0).then_some(Hit { vertex, nearest, s })
     };
     let mut found: Vec<Option<Hit>> = vec![None; tested.len()];
-    let pieces = found.chunks_mut(PIECE).enumerate().collect();
+    let pieces = found.par_chunks_mut(PIECE).enumerate();
     for_all_with(
         pieces,
-        |near, (piece, found): (usize, &mut [Option<Hit>])| {
+        |near: &mut Vec<(u32, f32)>, (piece, found): (usize, &mut [Option<Hit>])| {
             for (vertex, to) in (tested.start + piece * PIECE..).zip(found) {
                 *to = find(near, vertex);
             }

@@ -8,20 +8,17 @@ use std::process::ExitCode;
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
 use drape_dataset::SequenceReader;
+use drape_dataset::file::recover;
 use drape_dataset::obj::GarmentMesh;
 use drape_dataset::patches::patch_of_face;
 use drape_dataset::registry::GarmentKind;
 use drape_dataset::sequence::{Frame, Material};
-use drape_geometry::mesh::defects;
 use drape_view::inspection::Inspection;
 use drape_view::patches::patch_sheet;
 use drape_view::sheet::{Clip, SheetOptions, contact_sheet, spread};
 
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
-
-/// Defects of a garment that are named.
-const NAMED_DEFECTS: usize = 3;
 
 /// Show what a sequence file holds: contents, checks, a contact sheet of
 /// shaded frames, and the patches that the model would see. Of a garment in an
@@ -49,6 +46,10 @@ struct Arguments {
     /// Print only; write no pictures.
     #[arg(long, conflicts_with_all = ["out", "sheet", "patches"])]
     no_pictures: bool,
+    /// Write the whole frames of a cut or damaged sequence file to a sound one, and
+    /// do nothing else; frames behind a lost one go to OUT's name with `.from_N`.
+    #[arg(long, value_name = "OUT", conflicts_with_all = ["out", "sheet", "patches", "no_pictures"])]
+    recover: Option<PathBuf>,
 }
 
 fn main() -> ExitCode {
@@ -70,6 +71,9 @@ fn run(arguments: &Arguments) -> Result<bool> {
         patch_size.is_finite() && patch_size > 0.0,
         "--patch-size {patch_size}: expected a positive length in metres, such as 0.05"
     );
+    if let Some(out) = &arguments.recover {
+        return recover_frames(&arguments.file, out);
+    }
     let ending = arguments.file.extension().unwrap_or_default();
     if ending.eq_ignore_ascii_case("obj") {
         return inspect_garment(arguments);
@@ -89,6 +93,15 @@ fn run(arguments: &Arguments) -> Result<bool> {
         draw_patches(&reader, patch_size, &path)?;
     }
     Ok(inspection.passed())
+}
+
+/// Saves what is whole of a damaged file, and tells what that is.
+fn recover_frames(damaged: &Path, out: &Path) -> Result<bool> {
+    for saved in recover(damaged, out)? {
+        let (first, last) = (saved.frames.start, saved.frames.end - 1);
+        println!("frames {first} to {last}  {}", saved.path.display());
+    }
+    Ok(true)
 }
 
 /// Contents, checks and panels of a garment; whether all checks passed.
@@ -111,12 +124,11 @@ fn inspect_garment(arguments: &Arguments) -> Result<bool> {
     println!("extent    {x} × {y} × {z} units");
     println!("\nchecks");
     println!("  ok     numbers, triangles, UVs and areas of every line");
-    let found = defects(&mesh.rest, &mesh.faces, NAMED_DEFECTS);
-    for defect in &found {
-        println!("  note   {defect}");
+    for note in &mesh.notes {
+        println!("  note   {note}");
     }
-    if found.is_empty() {
-        println!("  ok     no edge of more than two faces");
+    if mesh.notes.is_empty() {
+        println!("  ok     triangles only, edges, welding, pieces, size, up axis");
     }
     if !arguments.no_pictures {
         // The picture needs a garment; neither kind nor material is drawn.

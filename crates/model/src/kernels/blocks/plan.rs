@@ -8,6 +8,7 @@ use super::super::attention::{Edges, WIDTH};
 pub(super) const TILE: usize = 96;
 
 /// Rows of the tokens, cut into tiles: patches first, no tile holds both kinds.
+#[derive(Default)]
 pub(super) struct Plan {
     pub(super) patches: usize,
     pub(super) rows: usize,
@@ -15,22 +16,18 @@ pub(super) struct Plan {
 }
 
 impl Plan {
-    pub(super) fn new(edges: &Edges) -> Self {
-        let patches = edges.mesh.rows();
-        let rows = edges.senders + edges.rotations.len();
-        let mut tiles = Vec::new();
-        for part in [0..patches, patches..rows] {
+    /// Lays the plan of a frame's edges.
+    pub(super) fn lay(&mut self, edges: &Edges) {
+        self.patches = edges.mesh.rows();
+        self.rows = edges.senders + edges.rotations.len();
+        self.tiles.clear();
+        for part in [0..self.patches, self.patches..self.rows] {
             let mut start = part.start;
             while start < part.end {
                 let end = (start + TILE).min(part.end);
-                tiles.push(start..end);
+                self.tiles.push(start..end);
                 start = end;
             }
-        }
-        Self {
-            patches,
-            rows,
-            tiles,
         }
     }
 
@@ -39,35 +36,29 @@ impl Plan {
         self.patches.div_ceil(TILE)
     }
 
-    /// Cuts `values` `[rows, 128]` (or patches only) at the tiles.
-    pub(super) fn cut<'a, T>(&self, mut values: &'a mut [T]) -> Vec<&'a mut [T]> {
-        let mut parts = Vec::new();
-        for tile in &self.tiles {
-            if values.is_empty() {
-                break;
-            }
-            let (part, rest) = values.split_at_mut(tile.len() * WIDTH);
-            parts.push(part);
-            values = rest;
-        }
-        parts
+    /// Cuts `values` `[rows, 128]` (or patches only, or nothing) at the tiles; after its last part
+    /// come empty ones.
+    pub(super) fn cut<'a, T>(&self, mut values: &'a mut [T]) -> impl Iterator<Item = &'a mut [T]> {
+        self.tiles.iter().map(move |tile| {
+            let len = (tile.len() * WIDTH).min(values.len());
+            values.split_off_mut(..len).expect("as many as are left")
+        })
     }
 
-    /// r, q and s of each tile out of the attention's tokens; r and q are empty where nothing receives.
-    pub(super) fn cut_tokens<'a, T>(&self, tokens: &'a mut [T]) -> Vec<[&'a mut [T]; 3]> {
+    /// Cuts three arrays side by side.
+    pub(super) fn cut_three<'a, T>(
+        &self,
+        [a, b, c]: [&'a mut [T]; 3],
+    ) -> impl Iterator<Item = [&'a mut [T]; 3]> {
+        let all = self.cut(a).zip(self.cut(b)).zip(self.cut(c));
+        all.map(|((a, b), c)| [a, b, c])
+    }
+
+    /// r, q and s out of the attention's tokens.
+    pub(super) fn split_tokens<'a, T>(&self, tokens: &'a mut [T]) -> [&'a mut [T]; 3] {
         let (r, rest) = tokens.split_at_mut(self.patches * WIDTH);
         let (q, s) = rest.split_at_mut(self.patches * WIDTH);
-        let (mut r, mut q) = (self.cut(r).into_iter(), self.cut(q).into_iter());
-        self.cut(s)
-            .into_iter()
-            .map(|s| {
-                [
-                    r.next().unwrap_or_default(),
-                    q.next().unwrap_or_default(),
-                    s,
-                ]
-            })
-            .collect()
+        [r, q, s]
     }
 
     /// A tile's rows of r, q and s.

@@ -2,13 +2,12 @@
 
 use std::ops::Range;
 
-use super::super::Real;
 use super::super::attention::{Gradient, token_gradient};
 use super::super::product::{add, mask, relu, sum};
+use super::super::{Real, fit};
 use super::weights::{
     FEED, MEMORY, OUTPUT, QUERY, RECEIVER, RECEIVER_OUT, SENDER, SENDER_OUT, Weights,
 };
-use super::workshop::fit;
 
 /// What one tile keeps of a block; names as in the module's formula.
 #[derive(Clone, Default)]

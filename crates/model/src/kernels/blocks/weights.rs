@@ -5,6 +5,8 @@
 
 use std::sync::OnceLock;
 
+use rayon::prelude::*;
+
 use super::super::attention::{GROUP_PARAMETERS, GROUPS, WIDTH, place_of};
 use super::super::layer_norm;
 use super::super::product::{fill_rows, rows_times, transpose};
@@ -135,7 +137,7 @@ pub(super) const LAYERS: [(Which, Layer); 9] = [
 
 /// All blocks' weights, arranged, and their transposes at the same places.
 #[derive(Debug, Default)]
-pub(super) struct Arranged<T> {
+pub(crate) struct Arranged<T> {
     all: Vec<T>,
     transposed: Vec<T>,
 }
@@ -157,11 +159,11 @@ impl<T: Real> Arranged<T> {
     fn new(parameters: &[T]) -> Self {
         let mut all = parameters.to_vec();
         let mut transposed = vec![T::zero(); parameters.len()];
-        let blocks = (parameters.chunks_exact(BLOCK_PARAMETERS))
-            .zip(all.chunks_exact_mut(BLOCK_PARAMETERS))
-            .zip(transposed.chunks_exact_mut(BLOCK_PARAMETERS));
+        let blocks = (parameters.par_chunks_exact(BLOCK_PARAMETERS))
+            .zip(all.par_chunks_exact_mut(BLOCK_PARAMETERS))
+            .zip(transposed.par_chunks_exact_mut(BLOCK_PARAMETERS));
         for_all(
-            blocks.collect(),
+            blocks,
             |((weights, all), transposed): ((&[T], &mut [T]), &mut [T])| {
                 for (_, layer) in LAYERS {
                     let at = layer.start..layer.start + layer.inner * layer.out;

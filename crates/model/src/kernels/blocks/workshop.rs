@@ -2,8 +2,8 @@
 
 use std::sync::{Mutex, OnceLock};
 
-use super::super::Real;
-use super::super::attention::{Gradient, WIDTH};
+use super::super::attention::{Gradient, Projected, WIDTH};
+use super::super::{Real, fit, shelved};
 use super::Blocks;
 use super::plan::Plan;
 use super::tile::{Tile, TileGradient};
@@ -20,33 +20,17 @@ pub(super) struct Block<T> {
 }
 
 /// Buffers of a pass. What the forward pass leaves in `blocks` is what the backward pass needs.
-/// Workshops are used again, so that passes over outfits of one size allocate nothing but results.
+/// Workshops are used again, so that passes over outfits of one size allocate nothing.
 #[derive(Default)]
-pub(super) struct Workshop<T> {
+pub(crate) struct Workshop<T: 'static> {
+    pub(super) plan: Plan,
     pub(super) blocks: Vec<Block<T>>,
+    pub(super) projected: Projected<T>,
     pub(super) gradients: Vec<TileGradient<T>>,
     pub(super) attention: Gradient<T>,
     pub(super) d_attended: Vec<T>,
-}
-
-impl<T: Keep> Workshop<T> {
-    /// One that nobody uses, or a new one.
-    pub(super) fn take() -> Self {
-        let shelf = T::shelf().lock();
-        let free = shelf.expect("nobody panics with it").pop();
-        free.unwrap_or_default()
-    }
-
-    pub(super) fn put_back(self) {
-        let shelf = T::shelf().lock();
-        shelf.expect("nobody panics with it").push(self);
-    }
-}
-
-/// Fits a buffer's length; what is in it is to be overwritten.
-pub(super) fn fit<T: Real>(buffer: &mut Vec<T>, len: usize) -> &mut [T] {
-    buffer.resize(len, T::zero());
-    buffer
+    /// Room for lists of tiles' parts.
+    pub(super) parts: Vec<[&'static mut [T]; 3]>,
 }
 
 impl<T: Real> Block<T> {
@@ -58,11 +42,9 @@ impl<T: Real> Block<T> {
 }
 
 /// Scalars with places for what is kept.
-pub(super) trait Keep: Real {
+pub(crate) trait Keep: Real {
     /// A call's workshop between its forward and its backward pass.
     fn place(blocks: &Blocks) -> &Mutex<Option<Workshop<Self>>>;
-    /// Workshops that nobody uses at the moment.
-    fn shelf() -> &'static Mutex<Vec<Workshop<Self>>>;
     /// The arranged weights of this type.
     fn transposes(transposes: &Transposes) -> &OnceLock<Arranged<Self>>;
 }
@@ -74,15 +56,12 @@ macro_rules! keep {
                 &blocks.$field
             }
 
-            fn shelf() -> &'static Mutex<Vec<Workshop<Self>>> {
-                static SHELF: Mutex<Vec<Workshop<$T>>> = Mutex::new(Vec::new());
-                &SHELF
-            }
-
             fn transposes(transposes: &Transposes) -> &OnceLock<Arranged<Self>> {
                 &transposes.$field
             }
         }
+
+        shelved!(Workshop<$T>);
     };
 }
 

@@ -54,17 +54,17 @@ impl Certificate {
         }
     }
 
-    /// Certifies `pairs`, moving `state.p` where needed.
-    pub fn certify(&mut self, pairs: &[&Pair], state: &mut State) -> Outcome {
+    /// Certifies `pairs`, moving `state.p` where needed. The first `certified`
+    /// of them are known to hold at present.
+    pub fn certify(&mut self, pairs: &[&Pair], certified: usize, state: &mut State) -> Outcome {
         self.moved.fill(0);
         let mut outcome = Outcome::default();
+        let known = |pass: u32| if pass == 0 { certified } else { 0 };
         for pass in 0..PUSHES {
             let mut failing = 0;
-            for pair in pairs {
-                let touched = pair
-                    .vertices
-                    .iter()
-                    .any(|&v| self.moved[v as usize] >= pass);
+            for pair in &pairs[known(pass)..] {
+                let moved = |&v: &u32| self.moved[v as usize] >= pass;
+                let touched = pass == 0 || pair.vertices.iter().any(moved);
                 if touched && !separated(pair, state) {
                     failing += 1;
                     self.push(pair, state, pass + 1);
@@ -174,7 +174,8 @@ fn split(pair: &Pair) -> (&[u32], &[u32]) {
 /// min n·A − max n·B.
 #[inline]
 fn gap(pair: &Pair, n: DVec3, x: &[DVec3]) -> f64 {
-    let [a, b, c, d] = pair.vertices.map(|v| n.dot(x[v as usize]));
+    let along = |k: usize| n.dot(x[pair.vertices[k] as usize]);
+    let (a, b, c, d) = (along(0), along(1), along(2), along(3));
     match pair.features {
         Features::VertexFace => a - b.max(c).max(d),
         Features::EdgeEdge => a.min(b) - c.max(d),

@@ -26,8 +26,8 @@ use certificate::{Certificate, Outcome};
 use drape_dataset::registry::Effect;
 use glam::DVec3;
 use list::PairList;
-use pair::{Features, Pair};
-use search::{Surfaces, candidate};
+use pair::Pair;
+use search::{Search, Surfaces};
 use solve::PushOut;
 use strays::Wanted;
 use tubes::Tubes;
@@ -37,9 +37,20 @@ use super::body_contact::BodyContact;
 use super::fabric::Fabric;
 use super::layer_contact::LayerContact;
 use super::passes::Passes;
+use super::profile::{Part, Stopwatch};
 use super::self_contact::SelfContact;
 use super::settings::EngineSettings;
 use super::state::State;
+
+/// A substep: its number, its length in seconds, and the engine's settings.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Moment<'a> {
+    pub now: u32,
+    pub h: f64,
+    /// Substeps left in the frame, with this one.
+    pub left: u32,
+    pub settings: &'a EngineSettings,
+}
 
 /// Rounds of looking for strays' pairs and certifying them: repairs make new strays.
 const STRAY_ROUNDS: u32 = 6;
@@ -83,43 +94,33 @@ impl Contacts {
         self.tubes.expire();
     }
 
-    /// Searches if it is time, and lists the contacts of substep `now`.
+    /// Searches if it is time, and lists the contacts of the substep.
     pub fn prepare(
         &mut self,
         fabric: &Fabric,
         state: &State,
-        settings: &EngineSettings,
-        (now, h): (u32, f64),
+        moment: Moment,
         passes: &mut Passes,
+        watch: &mut Stopwatch,
         report: &mut StepReport,
     ) {
+        let Moment {
+            now, h, settings, ..
+        } = moment;
         let push = PushOut {
             close: settings.push_out_m_s * h,
             through: settings.recovery_m_s * h,
         };
         if self.tubes.expired(settings.search_every) {
-            self.search(fabric, state, settings.search_every, now, h);
+            self.search(fabric, state, moment, watch);
             report.searches += 1;
         }
-        let effects = [
-            (
-                Effect::SelfContact,
-                self.own.as_mut().map(|own| &mut own.list),
-            ),
-            (
-                Effect::LayerContact,
-                self.layer.as_mut().map(|layer| &mut layer.list),
-            ),
-            (
-                Effect::BodyContact,
-                self.body.as_mut().map(|body| &mut body.list),
-            ),
-        ];
-        for (effect, list) in effects {
-            if let Some(list) = list {
-                passes.count(effect);
-                list.look(state, now, push);
-            }
+        let (tubes, lists) = self.tubes_and_lists();
+        for (effect, list) in lists {
+            passes.count(effect);
+            let start = watch.start();
+            list.look(state, tubes, now, push);
+            watch.stop(Part::Narrow(effect), start);
         }
         report.pairs = self.lists().map(|list| list.pairs.len()).sum();
         report.contacts = self.lists().map(|list| list.contacts.len()).sum();
@@ -127,34 +128,55 @@ impl Contacts {
     }
 
     /// One solver pass over all contacts.
-    pub fn solve(&mut self, state: &mut State, rub: bool) {
-        for list in self.lists_mut() {
+    pub fn solve(&mut self, state: &mut State, rub: bool, watch: &mut Stopwatch) {
+        for (effect, list) in self.lists_mut() {
+            let plain = rub
+                .then(|| watch.aside(|| list.time_without_friction(state)))
+                .flatten();
+            let start = watch.start();
             list.solve(state, rub);
+            let Some(start) = start else { continue };
+            let all = start.elapsed();
+            let pushing = plain.map_or(all, |plain| plain.min(all));
+            watch.give(Part::Solve(effect), pushing);
+            if rub {
+                watch.give(Part::Effect(Effect::Friction), all - pushing);
+            }
         }
     }
 
     /// Moves what is about to cross.
-    pub fn certify(&mut self, fabric: &Fabric, state: &mut State) -> Outcome {
+    pub fn certify(
+        &mut self,
+        fabric: &Fabric,
+        state: &mut State,
+        watch: &mut Stopwatch,
+    ) -> Outcome {
         let mut total = Outcome::default();
         let mut found: Vec<Pair> = Vec::new();
+        let mut certified = 0;
         self.looked_up.fill(DVec3::NAN);
         for round in 0.. {
+            let start = watch.start();
             let lists = [
                 self.own.as_ref().map(|own| &own.list),
                 self.layer.as_ref().map(|layer| &layer.list),
                 self.body.as_ref().map(|body| &body.list),
             ];
             let listed = lists.into_iter().flatten().flat_map(|list| {
-                list.clean
-                    .iter()
-                    .map(|&number| &list.pairs[number as usize])
+                let pair = |&number: &u32| &list.pairs[number as usize];
+                list.clean.iter().map(pair)
             });
             let pairs: Vec<&Pair> = listed.chain(&found).collect();
-            let outcome = self.certificate.certify(&pairs, state);
+            let outcome = self.certificate.certify(&pairs, certified, state);
+            certified = if outcome.left == 0 { pairs.len() } else { 0 };
             total.failed += outcome.failed;
             total.left = outcome.left;
+            watch.stop(Part::Certificate, start);
+            let start = watch.start();
             let strays = self.strays(state);
             if strays.is_empty() {
+                watch.stop(Part::Strays, start);
                 return total;
             }
             if round == STRAY_ROUNDS {
@@ -170,11 +192,12 @@ impl Contacts {
             strays::pairs_of(
                 &strays,
                 &wanted,
-                &mut self.surfaces,
+                (&mut self.surfaces, &self.tubes),
                 fabric,
                 state,
                 &mut found,
             );
+            watch.stop(Part::Strays, start);
         }
         total
     }
@@ -183,9 +206,7 @@ impl Contacts {
     fn strays(&mut self, state: &State) -> Vec<u32> {
         let mut strays = Vec::new();
         for i in 0..state.cloth {
-            if self.tubes.deviation(state, i) > self.tubes.radius[i]
-                && self.looked_up[i] != state.p[i]
-            {
+            if self.tubes.left(state, i) && self.looked_up[i] != state.p[i] {
                 self.looked_up[i] = state.p[i];
                 strays.push(i as u32);
             }
@@ -194,50 +215,52 @@ impl Contacts {
     }
 
     /// After the velocities are known.
-    pub fn finish(&mut self, state: &mut State, h: f64) {
-        for list in self.lists_mut() {
+    pub fn finish(&mut self, state: &mut State, h: f64, watch: &mut Stopwatch) {
+        for (effect, list) in self.lists_mut() {
+            let start = watch.start();
             list.forget_push(state, h);
+            watch.stop(Part::Solve(effect), start);
         }
+        let start = watch.start();
         self.tubes.observe(state);
+        watch.stop(Part::Trees, start);
     }
 
-    fn search(&mut self, fabric: &Fabric, state: &State, substeps: u32, now: u32, h: f64) {
-        let until = f64::from(substeps);
-        self.tubes.lay(state, h);
-        self.surfaces.refit(fabric, state, &self.tubes, until);
-        let (surfaces, tubes) = (&self.surfaces, &self.tubes);
+    fn search(&mut self, fabric: &Fabric, state: &State, moment: Moment, watch: &mut Stopwatch) {
+        let Moment {
+            now,
+            h,
+            left,
+            settings,
+        } = moment;
+        // Bodies change their velocities from frame to frame: no search outlives one.
+        let substeps = f64::from(settings.search_every.min(left));
+        let start = watch.start();
+        self.tubes.lay(state, h, substeps);
+        self.surfaces.refit(fabric, state, &self.tubes, substeps);
+        watch.stop(Part::Trees, start);
+        let within = Search {
+            surfaces: &self.surfaces,
+            fabric,
+            state,
+            tubes: &self.tubes,
+            now,
+            substeps,
+        };
         if let Some(body) = &mut self.body {
-            body.search(surfaces, fabric, state, tubes, (now, until));
+            let start = watch.start();
+            body.search(&within);
+            watch.stop(Part::Search(Effect::BodyContact), start);
         }
-        let layer_thickness = self.layer.as_mut().map(LayerContact::begin_search);
-        let own_thickness = self.own.as_mut().map(SelfContact::begin_search);
-        let Some(reach) = layer_thickness
-            .into_iter()
-            .chain(own_thickness)
-            .reduce(f64::max)
-        else {
-            return;
-        };
-        let (layer, own) = (&mut self.layer, &mut self.own);
-        let mut judge = |vertices: [u32; 4], features| {
-            let [first, second] = [vertices[0], vertices[2]].map(|v| fabric.garment_of[v as usize]);
-            let same = first == second;
-            let Some(thickness) = (if same { own_thickness } else { layer_thickness }) else {
-                return;
-            };
-            let Some(found) = candidate(vertices, features, thickness, state, tubes, until) else {
-                return;
-            };
-            match (same, &mut *own, &mut *layer) {
-                (true, Some(own), _) => own.add(&found, fabric, until, now),
-                (false, _, Some(layer)) => layer.add(&found, surfaces, fabric, state, now),
-                _ => {}
-            }
-        };
-        surfaces.cloth_vertices_and_faces(fabric, reach, |v| judge(v, Features::VertexFace));
-        surfaces.cloth_edges(fabric, reach, |v| judge(v, Features::EdgeEdge));
         if let Some(layer) = &mut self.layer {
-            layer.finish_search();
+            let start = watch.start();
+            layer.search(&within);
+            watch.stop(Part::Search(Effect::LayerContact), start);
+        }
+        if let Some(own) = &mut self.own {
+            let start = watch.start();
+            own.search(&within);
+            watch.stop(Part::Search(Effect::SelfContact), start);
         }
     }
 
@@ -249,11 +272,24 @@ impl Contacts {
     }
 
     /// The body comes last: it cannot give way, so it has the last word.
-    fn lists_mut(&mut self) -> impl Iterator<Item = &mut PairList> {
+    fn lists_mut(&mut self) -> impl Iterator<Item = (Effect, &mut PairList)> {
+        self.tubes_and_lists().1
+    }
+
+    fn tubes_and_lists(&mut self) -> (&Tubes, impl Iterator<Item = (Effect, &mut PairList)>) {
         let own = self.own.as_mut().map(|own| &mut own.list);
         let layer = self.layer.as_mut().map(|layer| &mut layer.list);
         let body = self.body.as_mut().map(|body| &mut body.list);
-        own.into_iter().chain(layer).chain(body)
+        let lists = [
+            (Effect::SelfContact, own),
+            (Effect::LayerContact, layer),
+            (Effect::BodyContact, body),
+        ];
+        let present = lists.into_iter();
+        (
+            &self.tubes,
+            present.filter_map(|(effect, list)| Some((effect, list?))),
+        )
     }
 }
 

@@ -1,32 +1,36 @@
 //! Finding the pairs that can touch before the next search.
 //!
 //! Every vertex gets a moving box around its tube for the coming substeps.
-//! Trees over faces and edges, split once on the start positions and refitted
-//! here, give candidates; a candidate becomes a pair if its distance is no more
-//! than thickness plus what its tubes can close.
+//! Trees over vertices, faces and edges, split once on the start positions and
+//! refitted here, give candidates; a candidate becomes a pair if its distance
+//! is no more than thickness plus what its tubes can close. Every garment has
+//! trees of its own, and so does the body: which are compared with which is the
+//! business of the effect that asks.
 
-use drape_geometry::bvh::Aabb;
+use std::ops::Range;
+
 use glam::DVec3;
 
-use super::pair::{Features, Pair, Separation, separation};
+use super::pair::{Features, Pair, Separation, idle, separation};
 use super::tree::{MovingBox, Tree};
-use super::tubes::Tubes;
-use crate::engine::fabric::Fabric;
+use super::tubes::{SLACK_M, Tubes};
+use crate::engine::fabric::{Fabric, Piece};
 use crate::engine::state::State;
 
-/// Trees over faces and edges of cloth and body.
+/// Vertices, faces and edges of one garment or of the body.
+#[derive(Clone, Debug)]
+pub(crate) struct Surface {
+    pub vertices: Tree<1>,
+    pub faces: Tree<3>,
+    pub edges: Tree<2>,
+}
+
+/// All surfaces.
 #[derive(Clone, Debug)]
 pub(crate) struct Surfaces {
-    pub body_faces: Vec<[u32; 3]>,
-    pub body_edges: Vec<[u32; 2]>,
-    cloth_vertices: Vec<[u32; 1]>,
-    body_vertices: Vec<[u32; 1]>,
-    cloth_vertex_tree: Tree,
-    cloth_face_tree: Tree,
-    cloth_edge_tree: Tree,
-    body_vertex_tree: Tree,
-    body_face_tree: Tree,
-    body_edge_tree: Tree,
+    pub garments: Vec<Surface>,
+    pub body: Surface,
+    body_faces: Vec<[u32; 3]>,
     /// Boxes around the tubes, one per vertex.
     boxes: Vec<MovingBox>,
     /// Outward normals of vertices at the last search, of garments turned to face outwards.
@@ -35,54 +39,74 @@ pub(crate) struct Surfaces {
     outward: Vec<f64>,
 }
 
-/// A candidate that passed the distance test, before its owner has judged it.
+impl Surface {
+    fn new(x: &[DVec3], vertices: Range<usize>, faces: &[[u32; 3]], edges: &[[u32; 2]]) -> Self {
+        let vertices: Vec<[u32; 1]> = vertices.map(|v| [v as u32]).collect();
+        Self {
+            vertices: Tree::build(x, &vertices),
+            faces: Tree::build(x, faces),
+            edges: Tree::build(x, edges),
+        }
+    }
+
+    fn refit(&mut self, boxes: &[MovingBox]) {
+        self.vertices.refit(boxes);
+        self.faces.refit(boxes);
+        self.edges.refit(boxes);
+    }
+
+    /// Vertices here near faces there that they do not belong to: the vertex, then the face's.
+    pub fn vertices_and_faces(&self, other: &Self, reach: f64, mut found: impl FnMut([u32; 4])) {
+        let faces = &other.faces;
+        self.vertices
+            .meeting_tree(faces, reach as f32, |[v], [a, b, c]| {
+                if v != a && v != b && v != c {
+                    found([v, a, b, c]);
+                }
+            });
+    }
+
+    /// Edges here near edges there: this one's vertices, then the other's.
+    pub fn edges_and_edges(&self, other: &Self, reach: f64, mut found: impl FnMut([u32; 4])) {
+        let edges = &other.edges;
+        self.edges
+            .meeting_tree(edges, reach as f32, |[a, b], [c, d]| found([a, b, c, d]));
+    }
+
+    /// Edges here near each other without a common vertex.
+    pub fn own_edges(&self, reach: f64, mut found: impl FnMut([u32; 4])) {
+        self.edges.meeting_itself(reach as f32, |[a, b], [c, d]| {
+            if a != c && a != d && b != c && b != d {
+                found([a, b, c, d]);
+            }
+        });
+    }
+}
+
+/// Two features, measured, before the effect that asked has judged them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Candidate {
     pub vertices: [u32; 4],
     pub features: Features,
     pub separation: Separation,
     pub distance: f64,
-    /// Bound of the closing speed, m per substep.
-    pub rate: f64,
-}
-
-impl Candidate {
-    /// The pair that keeps the candidate on the side where it is now, or,
-    /// `turned`, on the other.
-    pub fn pair(&self, thickness: f64, friction: f64, turned: bool, now: u32) -> Pair {
-        let normal = self.separation.d.normalize_or(DVec3::Z);
-        Pair {
-            vertices: self.vertices,
-            features: self.features,
-            thickness: thickness as f32,
-            friction: friction as f32,
-            rate: self.rate as f32,
-            wake: now,
-            normal: if turned { -normal } else { normal },
-        }
-    }
 }
 
 impl Surfaces {
     pub fn new(fabric: &Fabric, body_faces: Vec<[u32; 3]>, state: &State) -> Self {
         let body_edges = drape_geometry::mesh::edges(&body_faces);
-        let cloth_vertices: Vec<[u32; 1]> = (0..state.cloth as u32).map(|v| [v]).collect();
-        let body_vertices: Vec<[u32; 1]> = (state.cloth as u32..state.x.len() as u32)
-            .map(|v| [v])
-            .collect();
+        let x = &state.x;
+        let garment = |piece: &Piece| {
+            let faces = &fabric.faces[piece.faces.clone()];
+            let edges = &fabric.edges[piece.edges.clone()];
+            Surface::new(x, piece.vertices.clone(), faces, edges)
+        };
         let mut surfaces = Self {
-            cloth_vertex_tree: Tree::build(&state.x, &cloth_vertices),
-            body_vertex_tree: Tree::build(&state.x, &body_vertices),
-            cloth_vertices,
-            body_vertices,
-            cloth_face_tree: Tree::build(&state.x, &fabric.faces),
-            cloth_edge_tree: Tree::build(&state.x, &fabric.edges),
-            body_face_tree: Tree::build(&state.x, &body_faces),
-            body_edge_tree: Tree::build(&state.x, &body_edges),
+            garments: fabric.garments.iter().map(garment).collect(),
+            body: Surface::new(x, state.cloth..x.len(), &body_faces, &body_edges),
             body_faces,
-            body_edges,
-            boxes: vec![MovingBox::EMPTY; state.x.len()],
-            normals: vec![DVec3::ZERO; state.x.len()],
+            boxes: vec![MovingBox::EMPTY; x.len()],
+            normals: vec![DVec3::ZERO; x.len()],
             outward: vec![1.0; fabric.garments.len()],
         };
         surfaces.measure_normals(fabric, state);
@@ -136,169 +160,91 @@ impl Surfaces {
     pub fn refit(&mut self, fabric: &Fabric, state: &State, tubes: &Tubes, substeps: f64) {
         self.measure_normals(fabric, state);
         for (i, around) in self.boxes.iter_mut().enumerate() {
-            let half = 0.5 * substeps * tubes.step[i];
-            // f32 boxes round by less than a micrometre at this size.
-            let margin = (tubes.radius[i] * substeps + 1e-6) as f32;
-            *around = MovingBox {
-                middle: Aabb::of(&[(state.x[i] + half).as_vec3().to_array()]).grown(margin),
-                shift: Aabb::of(&[half.as_vec3().to_array()]),
-            };
+            let tube = &tubes.of[i];
+            let end = state.x[i] + substeps * tube.step;
+            *around = MovingBox::of(state.x[i], end, tube.radius * substeps);
         }
-        self.refit_trees(fabric);
-    }
-
-    /// Lays boxes around the way of the present substep, from `x` to `p`.
-    pub fn refit_substep(&mut self, fabric: &Fabric, state: &State) {
-        for (i, around) in self.boxes.iter_mut().enumerate() {
-            let half = 0.5 * (state.p[i] - state.x[i]);
-            *around = MovingBox {
-                middle: Aabb::of(&[(state.x[i] + half).as_vec3().to_array()]).grown(1e-6),
-                shift: Aabb::of(&[half.as_vec3().to_array()]),
-            };
+        for surface in self.garments.iter_mut().chain([&mut self.body]) {
+            surface.refit(&self.boxes);
         }
-        self.refit_trees(fabric);
     }
 
-    fn refit_trees(&mut self, fabric: &Fabric) {
-        let boxes = &self.boxes;
-        self.cloth_vertex_tree.refit(boxes, &self.cloth_vertices);
-        self.body_vertex_tree.refit(boxes, &self.body_vertices);
-        self.cloth_face_tree.refit(boxes, &fabric.faces);
-        self.cloth_edge_tree.refit(boxes, &fabric.edges);
-        self.body_face_tree.refit(boxes, &self.body_faces);
-        self.body_edge_tree.refit(boxes, &self.body_edges);
-    }
-
-    /// Faces of cloth and body that vertex `v` can meet.
-    pub fn faces_met_by(&self, v: u32, fabric: &Fabric, mut found: impl FnMut([u32; 3])) {
-        let query = &self.boxes[v as usize];
-        self.cloth_face_tree
-            .meeting(query, 0.0, |f| found(fabric.faces[f as usize]));
-        self.body_face_tree
-            .meeting(query, 0.0, |f| found(self.body_faces[f as usize]));
-    }
-
-    /// Vertices of cloth and body that a face can meet.
-    pub fn vertices_meeting(&self, face: [u32; 3], mut found: impl FnMut(u32)) {
-        let query = MovingBox::around(&self.boxes, face);
-        self.cloth_vertex_tree.meeting(&query, 0.0, &mut found);
-        let first = self.cloth_vertices.len() as u32;
-        self.body_vertex_tree
-            .meeting(&query, 0.0, |v| found(first + v));
-    }
-
-    /// Edges of cloth and body that an edge can meet.
-    pub fn edges_meeting(&self, edge: [u32; 2], fabric: &Fabric, mut found: impl FnMut([u32; 2])) {
-        let query = MovingBox::around(&self.boxes, edge);
-        self.cloth_edge_tree
-            .meeting(&query, 0.0, |e| found(fabric.edges[e as usize]));
-        self.body_edge_tree
-            .meeting(&query, 0.0, |e| found(self.body_edges[e as usize]));
-    }
-
-    /// Faces of the body near cloth vertex `v`: vertex, then the face's.
+    /// Faces of the body near cloth vertex `v`: the vertex, then the face's.
     pub fn body_faces_near(&self, v: u32, reach: f64, mut found: impl FnMut([u32; 4])) {
-        self.body_face_tree
-            .meeting(&self.boxes[v as usize], reach as f32, |f| {
-                let [a, b, c] = self.body_faces[f as usize];
-                found([v, a, b, c]);
-            });
-    }
-
-    /// Body vertices near cloth faces: vertex, then the face's.
-    pub fn body_vertices_and_faces(
-        &self,
-        fabric: &Fabric,
-        reach: f64,
-        mut found: impl FnMut([u32; 4]),
-    ) {
-        let first = fabric.rest.len() as u32;
-        self.body_vertex_tree
-            .meeting_tree(&self.cloth_face_tree, reach as f32, |v, f| {
-                let [a, b, c] = fabric.faces[f as usize];
-                found([first + v, a, b, c]);
-            });
-    }
-
-    /// Cloth edges near body edges: cloth's vertices, then the body's.
-    pub fn body_edges(&self, fabric: &Fabric, reach: f64, mut found: impl FnMut([u32; 4])) {
-        self.cloth_edge_tree
-            .meeting_tree(&self.body_edge_tree, reach as f32, |e, f| {
-                let ([a, b], [c, d]) = (fabric.edges[e as usize], self.body_edges[f as usize]);
-                found([a, b, c, d]);
-            });
-    }
-
-    /// Cloth vertices near cloth faces that they do not belong to.
-    pub fn cloth_vertices_and_faces(
-        &self,
-        fabric: &Fabric,
-        reach: f64,
-        mut found: impl FnMut([u32; 4]),
-    ) {
-        self.cloth_vertex_tree
-            .meeting_tree(&self.cloth_face_tree, reach as f32, |v, f| {
-                let [a, b, c] = fabric.faces[f as usize];
-                if v != a && v != b && v != c {
-                    found([v, a, b, c]);
-                }
-            });
-    }
-
-    /// Cloth edges near each other without a common vertex.
-    pub fn cloth_edges(&self, fabric: &Fabric, reach: f64, mut found: impl FnMut([u32; 4])) {
-        self.cloth_edge_tree.meeting_itself(reach as f32, |e, f| {
-            let ([a, b], [c, d]) = (fabric.edges[e as usize], fabric.edges[f as usize]);
-            if a != c && a != d && b != c && b != d {
-                found([a, b, c, d]);
-            }
-        });
+        let query = &self.boxes[v as usize];
+        let faces = &self.body.faces;
+        faces.meeting(query, reach as f32, |[a, b, c]| found([v, a, b, c]));
     }
 }
 
-/// Measures two features; `None` if they cannot come within `thickness` in `substeps`.
-pub(crate) fn candidate(
-    vertices: [u32; 4],
-    features: Features,
-    thickness: f64,
-    state: &State,
-    tubes: &Tubes,
-    substeps: f64,
-) -> Option<Candidate> {
-    let [a, b, c, d] = vertices.map(|v| v as usize);
-    if state.w[a] + state.w[b] + state.w[c] + state.w[d] <= 0.0 {
-        return None;
+/// One search: what it looks at and what for.
+pub(crate) struct Search<'a> {
+    pub surfaces: &'a Surfaces,
+    pub fabric: &'a Fabric,
+    pub state: &'a State,
+    pub tubes: &'a Tubes,
+    /// Number of the present substep.
+    pub now: u32,
+    /// Substeps until the next search.
+    pub substeps: f64,
+}
+
+impl Search<'_> {
+    /// How far apart boxes of features can be that keep `thickness`: at least as
+    /// far as both may be out of their tubes.
+    pub fn reach(&self, thickness: f64) -> f64 {
+        thickness.max(2.0 * SLACK_M)
     }
-    let step = |i: usize| tubes.step[i];
-    let radius = |i: usize| tubes.radius[i];
-    // Closing speed: difference of the features' mean steps, plus what their vertices deviate.
-    let rate = match features {
-        Features::VertexFace => {
-            let mean = (step(b) + step(c) + step(d)) / 3.0;
-            let spread = |i: usize| step(i).distance(mean);
-            step(a).distance(mean)
-                + spread(b).max(spread(c)).max(spread(d))
-                + radius(a)
-                + radius(b).max(radius(c)).max(radius(d))
+
+    /// Measures two features.
+    pub fn measure(&self, vertices: [u32; 4], features: Features) -> Candidate {
+        let separation = separation(features, vertices, &self.state.x);
+        Candidate {
+            vertices,
+            features,
+            separation,
+            distance: separation.d.length(),
         }
-        Features::EdgeEdge => {
-            let (first, second) = ((step(a) + step(b)) / 2.0, (step(c) + step(d)) / 2.0);
-            first.distance(second)
-                + step(a).distance(first)
-                + step(c).distance(second)
-                + radius(a).max(radius(b))
-                + radius(c).max(radius(d))
-        }
-    };
-    let separation = separation(features, vertices, &state.x);
-    let distance = separation.d.length();
-    (distance <= thickness + rate * substeps).then_some(Candidate {
-        vertices,
-        features,
-        separation,
-        distance,
-        rate,
-    })
+    }
+
+    /// The pair that keeps a candidate on the side where it is; `None` if
+    /// nothing in it can move or if it cannot come within `thickness` before
+    /// the next search.
+    pub fn pair(&self, found: &Candidate, thickness: f64, friction: f64) -> Option<Pair> {
+        let normal = found.separation.d.normalize_or(DVec3::Z);
+        let idle = if found.distance > self.reach(thickness) {
+            let rate = self.tubes.closing(found.features, found.vertices, normal);
+            idle(found.distance, thickness, rate)
+        } else {
+            0
+        };
+        (f64::from(idle) < self.substeps && self.is_mobile(found)).then_some(Pair {
+            vertices: found.vertices,
+            features: found.features,
+            thickness: thickness as f32,
+            friction: friction as f32,
+            idle,
+            normal,
+        })
+    }
+
+    /// The pair that brings a candidate to the other side, from however deep;
+    /// `None` if nothing in it can move.
+    pub fn rescue(&self, found: &Candidate, thickness: f64, friction: f64) -> Option<Pair> {
+        self.is_mobile(found).then(|| Pair {
+            vertices: found.vertices,
+            features: found.features,
+            thickness: thickness as f32,
+            friction: friction as f32,
+            idle: 0,
+            normal: -found.separation.d.normalize_or(DVec3::Z),
+        })
+    }
+
+    fn is_mobile(&self, found: &Candidate) -> bool {
+        let free = |&v: &u32| self.state.w[v as usize] > 0.0;
+        found.vertices.iter().any(free)
+    }
 }
 
 fn add_normal(normals: &mut [DVec3], x: &[DVec3], face: [u32; 3], sign: f64) {

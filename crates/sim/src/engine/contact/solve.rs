@@ -73,9 +73,15 @@ impl Contact {
     }
 
     fn combine(&self, from: &[DVec3]) -> DVec3 {
-        let [a, b, c, d] = self.vertices.map(|v| from[v as usize]);
-        self.weights[0] * a + self.weights[1] * b + self.weights[2] * c + self.weights[3] * d
+        combine(&self.weights, &self.vertices, from)
     }
+}
+
+/// Σ w x.
+#[inline(always)]
+pub(crate) fn combine(weights: &[f64; 4], vertices: &[u32; 4], from: &[DVec3]) -> DVec3 {
+    let at = |k: usize| weights[k] * from[vertices[k] as usize];
+    at(0) + at(1) + at(2) + at(3)
 }
 
 /// One pass over contacts; `rub` adds friction.

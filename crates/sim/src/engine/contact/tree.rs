@@ -1,218 +1,380 @@
 //! A tree of moving boxes: which features can meet within a stretch of time?
 //!
-//! Each vertex has a box at the middle of the interval and a range of
-//! displacements from there to its end (by symmetry, minus that to its start).
-//! Two boxes can meet if, on every axis, they overlap after growing by their
-//! largest *relative* displacement. So cloth and limb that move together cost
-//! no margin, however fast they move: with boxes swept in space, a swinging
-//! arm would meet everything on its sleeve's way.
+//! A box has a place at the interval's start and one at its end, and moves
+//! linearly between them. Two boxes cannot meet if on some axis one lies beyond
+//! the other at both ends: then it does so throughout. So cloth and limb that
+//! move together cost no margin, however fast they move: with boxes swept in
+//! space, a swinging arm would meet everything on its sleeve's way.
 //!
-//! The tree is split once on start positions and refitted.
+//! Nodes are eight boxes wide and hold them by coordinate, so that one
+//! comparison serves eight boxes; the same code is compiled for wider registers
+//! where the processor has them, and only compares, so the answers are the
+//! same. The tree has no pointers: features are put in an order in which every
+//! aligned run of 8, 64, 512 … of them is compact, once, on start positions,
+//! and levels are stacked on that. Boxes are refitted; single ones can grow.
 
-use drape_geometry::bvh::Aabb;
+use glam::DVec3;
 
-/// Features in a leaf.
-const LEAF: usize = 4;
-
-/// Box at the interval's middle and range of displacements to its end.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct MovingBox {
-    pub middle: Aabb,
-    pub shift: Aabb,
+/// Calls a function compiled for wider registers where the processor has them.
+macro_rules! widest {
+    ($inner:ident<$($N:ident),*>($($name:ident: $type:ty = $value:expr),*)) => {{
+        #[cfg(target_arch = "x86_64")]
+        {
+            #[target_feature(enable = "avx2")]
+            fn wide<$(const $N: usize),*>($($name: $type),*) {
+                $inner($($name),*);
+            }
+            if is_x86_feature_detected!("avx2") {
+                // SAFETY: the registers were detected on this machine.
+                unsafe { wide($($value),*) };
+                return;
+            }
+        }
+        $inner($($value),*);
+    }};
 }
+
+/// Boxes in a node.
+const WIDTH: usize = 8;
+/// Coordinates of a box: x, y, z of the low corner at start and end, and of
+/// the negative of the high corner, so that the smaller one always wins.
+const COORDINATES: usize = 12;
+/// f32 boxes of points within 8 m of the origin round by less, m.
+const ROUNDING_M: f32 = 1e-6;
+
+/// A box that moves linearly from its place at the start to that at the end.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct MovingBox([f32; COORDINATES]);
 
 impl MovingBox {
     /// The box that holds nothing.
-    pub const EMPTY: Self = Self {
-        middle: Aabb::EMPTY,
-        shift: Aabb::EMPTY,
-    };
+    pub const EMPTY: Self = Self([f32::INFINITY; COORDINATES]);
+
+    /// Around a point that starts at `start` and ends within `radius` of `end`.
+    #[inline]
+    pub fn of(start: DVec3, end: DVec3, radius: f64) -> Self {
+        let (s, e) = (start.as_vec3(), end.as_vec3());
+        let r = radius as f32 + ROUNDING_M;
+        let m = ROUNDING_M;
+        Self([
+            s.x - m,
+            s.y - m,
+            s.z - m,
+            e.x - r,
+            e.y - r,
+            e.z - r,
+            -s.x - m,
+            -s.y - m,
+            -s.z - m,
+            -e.x - r,
+            -e.y - r,
+            -e.z - r,
+        ])
+    }
 
     /// Smallest moving box around two.
+    #[inline]
     pub fn union(&self, other: &Self) -> Self {
-        Self {
-            middle: self.middle.union(&other.middle),
-            shift: self.shift.union(&other.shift),
+        let mut union = self.0;
+        for (a, &b) in union.iter_mut().zip(&other.0) {
+            *a = if b < *a { b } else { *a };
         }
+        Self(union)
     }
 
     /// Around the vertices of a feature.
+    #[inline]
     pub fn around<const N: usize>(boxes: &[Self], feature: [u32; N]) -> Self {
         feature
             .iter()
             .fold(Self::EMPTY, |union, &v| union.union(&boxes[v as usize]))
     }
 
-    /// Whether the two can come within `reach` of each other in the interval.
-    #[inline]
+    /// Whether the two can come within `reach` of each other on every axis.
     pub fn can_meet(&self, other: &Self, reach: f32) -> bool {
+        let limits = Limits::new(self, reach);
         (0..3).all(|k| {
-            let forth = self.shift.high[k] - other.shift.low[k];
-            let back = other.shift.high[k] - self.shift.low[k];
-            let reach = reach + forth.abs().max(back.abs());
-            self.middle.low[k] - reach <= other.middle.high[k]
-                && other.middle.low[k] - reach <= self.middle.high[k]
+            let beyond = |c: usize| other.0[c] > limits.0[c];
+            !(beyond(k) && beyond(3 + k) || beyond(6 + k) && beyond(9 + k))
         })
     }
 }
 
+/// What another box's coordinates must not exceed to be met.
+#[derive(Clone, Copy)]
+struct Limits([f32; COORDINATES]);
+
+impl Limits {
+    /// Another box's low corner counts against this one's high corner and the reverse.
+    #[inline(always)]
+    fn new(of: &MovingBox, reach: f32) -> Self {
+        const HALF: usize = COORDINATES / 2;
+        let mut limits = [0.0; COORDINATES];
+        for c in 0..HALF {
+            limits[c] = reach - of.0[HALF + c];
+            limits[HALF + c] = reach - of.0[c];
+        }
+        Self(limits)
+    }
+}
+
+/// Eight boxes by coordinate.
 #[derive(Clone, Copy, Debug)]
-struct Node {
-    around: MovingBox,
-    /// Leaf: first item. Inner node: the right child, the left one follows.
-    first: u32,
-    /// Items in a leaf, 0 for an inner node.
-    count: u32,
+#[repr(align(32))]
+struct Node([[f32; WIDTH]; COORDINATES]);
+
+impl Node {
+    const EMPTY: Self = Self([[f32::INFINITY; WIDTH]; COORDINATES]);
+
+    #[inline(always)]
+    fn get(&self, lane: usize) -> MovingBox {
+        let mut one = MovingBox::EMPTY;
+        for c in 0..COORDINATES {
+            one.0[c] = self.0[c][lane];
+        }
+        one
+    }
+
+    #[inline]
+    fn set(&mut self, lane: usize, of: &MovingBox) {
+        for c in 0..COORDINATES {
+            self.0[c][lane] = of.0[c];
+        }
+    }
+
+    /// Around all boxes.
+    #[inline(always)]
+    fn union(&self) -> MovingBox {
+        let mut union = MovingBox::EMPTY;
+        for c in 0..COORDINATES {
+            for lane in 0..WIDTH {
+                let one = self.0[c][lane];
+                union.0[c] = if one < union.0[c] { one } else { union.0[c] };
+            }
+        }
+        union
+    }
+
+    /// Bit of each box that can be met within the limits.
+    #[inline(always)]
+    fn met(&self, limits: &Limits) -> u32 {
+        let mut apart = [false; WIDTH];
+        for k in 0..3 {
+            let [low0, low1] = [&self.0[k], &self.0[3 + k]];
+            let [high0, high1] = [&self.0[6 + k], &self.0[9 + k]];
+            let l = &limits.0;
+            for lane in 0..WIDTH {
+                apart[lane] |= (low0[lane] > l[k]) & (low1[lane] > l[3 + k])
+                    | (high0[lane] > l[6 + k]) & (high1[lane] > l[9 + k]);
+            }
+        }
+        let mut met = 0;
+        for lane in 0..WIDTH {
+            met |= u32::from(!apart[lane]) << lane;
+        }
+        met
+    }
 }
 
-/// Tree over features, numbered as in the slice it was built from.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Tree {
-    nodes: Vec<Node>,
-    items: Vec<u32>,
-    boxes: Vec<MovingBox>,
+/// Tree over features of `N` vertices each.
+#[derive(Clone, Debug)]
+pub(crate) struct Tree<const N: usize> {
+    /// Features in the tree's order.
+    features: Vec<[u32; N]>,
+    /// Place of each feature in that order.
+    place: Vec<u32>,
+    /// Level 0 holds the features' boxes, each further one those of the nodes below; the last is one node.
+    levels: Vec<Vec<Node>>,
 }
 
-impl Tree {
+impl<const N: usize> Tree<N> {
     /// Splits at medians of the features' centres.
-    pub fn build<const N: usize>(positions: &[glam::DVec3], features: &[[u32; N]]) -> Self {
+    pub fn build(positions: &[DVec3], features: &[[u32; N]]) -> Self {
         let centre = |feature: &[u32; N]| {
-            let sum: glam::DVec3 = feature.iter().map(|&v| positions[v as usize]).sum();
+            let sum: DVec3 = feature.iter().map(|&v| positions[v as usize]).sum();
             (sum / N as f64).to_array()
         };
         let centres: Vec<[f64; 3]> = features.iter().map(centre).collect();
-        let mut tree = Self {
-            nodes: Vec::new(),
-            items: (0..features.len() as u32).collect(),
-            boxes: vec![MovingBox::EMPTY; features.len()],
-        };
-        if !features.is_empty() {
-            split(&centres, &mut tree.items, 0, &mut tree.nodes);
+        let mut order: Vec<u32> = (0..features.len() as u32).collect();
+        arrange(&centres, &mut order);
+        let mut place = vec![0; order.len()];
+        for (at, &number) in order.iter().enumerate() {
+            place[number as usize] = at as u32;
         }
-        tree
+        let mut levels = Vec::new();
+        let mut count = features.len();
+        while count > 1 || levels.is_empty() {
+            count = count.div_ceil(WIDTH).max(1);
+            levels.push(vec![Node::EMPTY; count]);
+        }
+        Self {
+            features: order.iter().map(|&i| features[i as usize]).collect(),
+            place,
+            levels,
+        }
     }
 
     /// Takes the vertices' new boxes over.
-    pub fn refit<const N: usize>(&mut self, vertices: &[MovingBox], features: &[[u32; N]]) {
-        for (around, &item) in self.boxes.iter_mut().zip(&self.items) {
-            *around = MovingBox::around(vertices, features[item as usize]);
+    pub fn refit(&mut self, vertices: &[MovingBox]) {
+        for (node, features) in self.levels[0].iter_mut().zip(self.features.chunks(WIDTH)) {
+            for (lane, &feature) in features.iter().enumerate() {
+                node.set(lane, &MovingBox::around(vertices, feature));
+            }
         }
-        // Children come after their parents.
-        for index in (0..self.nodes.len()).rev() {
-            let Node { first, count, .. } = self.nodes[index];
-            self.nodes[index].around = if count == 0 {
-                self.nodes[index + 1]
-                    .around
-                    .union(&self.nodes[first as usize].around)
-            } else {
-                let items = &self.boxes[self.nodes[index].range()];
-                items
-                    .iter()
-                    .fold(MovingBox::EMPTY, |union, item| union.union(item))
-            };
+        for level in 1..self.levels.len() {
+            let (below, above) = self.levels.split_at_mut(level);
+            for (node, children) in above[0].iter_mut().zip(below[level - 1].chunks(WIDTH)) {
+                for (lane, child) in children.iter().enumerate() {
+                    node.set(lane, &child.union());
+                }
+            }
+        }
+    }
+
+    /// Makes room for what one feature does beside what it was fitted to.
+    pub fn grow(&mut self, feature: usize, room: &MovingBox) {
+        let mut at = self.place[feature] as usize;
+        for level in &mut self.levels {
+            let node = &mut level[at / WIDTH];
+            let lane = at % WIDTH;
+            let grown = node.get(lane).union(room);
+            node.set(lane, &grown);
+            at /= WIDTH;
         }
     }
 
     /// Calls `found` with every feature that can come within `reach` of `query`.
-    pub fn meeting(&self, query: &MovingBox, reach: f32, mut found: impl FnMut(u32)) {
-        let mut stack = Vec::with_capacity(64);
-        stack.extend((!self.nodes.is_empty()).then_some(0));
-        while let Some(index) = stack.pop() {
-            let node = &self.nodes[index as usize];
-            if !node.around.can_meet(query, reach) {
-                continue;
-            }
-            if node.count == 0 {
-                stack.extend([node.first, index + 1]);
-            } else {
-                for at in node.range() {
-                    if self.boxes[at].can_meet(query, reach) {
-                        found(self.items[at]);
-                    }
-                }
-            }
-        }
+    pub fn meeting(&self, query: &MovingBox, reach: f32, found: impl FnMut([u32; N])) {
+        widest!(descend<N>(tree: &Tree<N> = self, limits: &Limits = &Limits::new(query, reach), found: impl FnMut([u32; N]) = found));
     }
 
     /// Calls `found` with every feature here and every one in `other` that can
     /// come within `reach` of each other; both trees are descended together.
-    pub fn meeting_tree(&self, other: &Tree, reach: f32, mut found: impl FnMut(u32, u32)) {
-        let mut stack = Vec::with_capacity(256);
-        stack.extend((!self.nodes.is_empty() && !other.nodes.is_empty()).then_some((0, 0)));
-        while let Some((i, j)) = stack.pop() {
-            let (a, b) = (&self.nodes[i as usize], &other.nodes[j as usize]);
-            if !a.around.can_meet(&b.around, reach) {
-                continue;
-            }
-            match (a.count, b.count) {
-                (0, 0) => {
-                    stack.extend([(i + 1, j + 1), (i + 1, b.first)]);
-                    stack.extend([(a.first, j + 1), (a.first, b.first)]);
-                }
-                (0, _) => stack.extend([(i + 1, j), (a.first, j)]),
-                (_, 0) => stack.extend([(i, j + 1), (i, b.first)]),
-                _ => {
-                    for at in a.range() {
-                        for to in b.range() {
-                            if self.boxes[at].can_meet(&other.boxes[to], reach) {
-                                found(self.items[at], other.items[to]);
-                            }
-                        }
-                    }
-                }
-            }
-        }
+    pub fn meeting_tree<const M: usize>(
+        &self,
+        other: &Tree<M>,
+        reach: f32,
+        found: impl FnMut([u32; N], [u32; M]),
+    ) {
+        widest!(descend_both<N, M>(a: &Tree<N> = self, b: &Tree<M> = other, reach: f32 = reach, found: impl FnMut([u32; N], [u32; M]) = found));
     }
 
     /// The same within this tree, each two features once.
-    pub fn meeting_itself(&self, reach: f32, mut found: impl FnMut(u32, u32)) {
-        let mut stack = Vec::with_capacity(256);
-        stack.extend((!self.nodes.is_empty()).then_some((0, 0)));
-        while let Some((i, j)) = stack.pop() {
-            let (a, b) = (&self.nodes[i as usize], &self.nodes[j as usize]);
-            if i != j && !a.around.can_meet(&b.around, reach) {
-                continue;
+    pub fn meeting_itself(&self, reach: f32, found: impl FnMut([u32; N], [u32; N])) {
+        widest!(descend_itself<N>(tree: &Tree<N> = self, reach: f32 = reach, found: impl FnMut([u32; N], [u32; N]) = found));
+    }
+
+    fn height(&self) -> usize {
+        self.levels.len() - 1
+    }
+}
+
+#[inline(always)]
+fn descend<const N: usize>(tree: &Tree<N>, limits: &Limits, mut found: impl FnMut([u32; N])) {
+    // At most seven siblings wait on each of the eleven levels that u32 numbers can fill.
+    let mut stack = [(0u8, 0u32); 96];
+    stack[0].0 = tree.height() as u8;
+    let mut depth = 1;
+    while depth > 0 {
+        depth -= 1;
+        let (level, index) = stack[depth];
+        let mut met = tree.levels[level as usize][index as usize].met(limits);
+        while met != 0 {
+            let at = index * WIDTH as u32 + met.trailing_zeros();
+            met &= met - 1;
+            if level == 0 {
+                found(tree.features[at as usize]);
+            } else {
+                stack[depth] = (level - 1, at);
+                depth += 1;
             }
-            match (a.count, b.count) {
-                (0, 0) if i == j => {
-                    stack.extend([(i + 1, i + 1), (i + 1, a.first), (a.first, a.first)]);
-                }
-                (0, 0) => {
-                    stack.extend([(i + 1, j + 1), (i + 1, b.first)]);
-                    stack.extend([(a.first, j + 1), (a.first, b.first)]);
-                }
-                (0, _) => stack.extend([(i + 1, j), (a.first, j)]),
-                (_, 0) => stack.extend([(i, j + 1), (i, b.first)]),
-                _ => {
-                    for at in a.range() {
-                        let from = if i == j { at + 1 } else { b.range().start };
-                        for to in from..b.range().end {
-                            if self.boxes[at].can_meet(&self.boxes[to], reach) {
-                                found(self.items[at], self.items[to]);
-                            }
-                        }
-                    }
+        }
+    }
+}
+
+#[inline(always)]
+fn descend_both<const N: usize, const M: usize>(
+    a: &Tree<N>,
+    b: &Tree<M>,
+    reach: f32,
+    mut found: impl FnMut([u32; N], [u32; M]),
+) {
+    let width = WIDTH as u32;
+    let (top_a, top_b) = (a.height(), b.height());
+    let mut stack = Vec::with_capacity(512);
+    stack.push(((top_a, 0u32), (top_b, 0u32)));
+    while let Some(((la, i), (lb, j))) = stack.pop() {
+        let (node_a, node_b) = (&a.levels[la][i as usize], &b.levels[lb][j as usize]);
+        // The higher tree is descended alone until both are at the same level.
+        if la != lb {
+            let (node, whole) = if la > lb {
+                (node_a, node_b.union())
+            } else {
+                (node_b, node_a.union())
+            };
+            let mut met = node.met(&Limits::new(&whole, reach));
+            while met != 0 {
+                let lane = met.trailing_zeros();
+                met &= met - 1;
+                stack.push(if la > lb {
+                    ((la - 1, i * width + lane), (lb, j))
+                } else {
+                    ((la, i), (lb - 1, j * width + lane))
+                });
+            }
+            continue;
+        }
+        for lane in 0..width {
+            let mut met = node_b.met(&Limits::new(&node_a.get(lane as usize), reach));
+            let from = i * width + lane;
+            while met != 0 {
+                let to = j * width + met.trailing_zeros();
+                met &= met - 1;
+                if la == 0 {
+                    found(a.features[from as usize], b.features[to as usize]);
+                } else {
+                    stack.push(((la - 1, from), (lb - 1, to)));
                 }
             }
         }
     }
 }
 
-impl Node {
-    /// Items of a leaf.
-    fn range(&self) -> std::ops::Range<usize> {
-        self.first as usize..(self.first + self.count) as usize
+#[inline(always)]
+fn descend_itself<const N: usize>(
+    tree: &Tree<N>,
+    reach: f32,
+    mut found: impl FnMut([u32; N], [u32; N]),
+) {
+    let width = WIDTH as u32;
+    let mut stack = Vec::with_capacity(512);
+    stack.push((tree.height(), 0u32, 0u32));
+    while let Some((level, i, j)) = stack.pop() {
+        let nodes = &tree.levels[level];
+        for lane in 0..width {
+            let limits = Limits::new(&nodes[i as usize].get(lane as usize), reach);
+            let mut met = nodes[j as usize].met(&limits);
+            if i == j {
+                // Each two once; a node below with itself, a feature not.
+                met &= u32::MAX << (lane + u32::from(level == 0));
+            }
+            let from = i * width + lane;
+            while met != 0 {
+                let to = j * width + met.trailing_zeros();
+                met &= met - 1;
+                if level == 0 {
+                    found(tree.features[from as usize], tree.features[to as usize]);
+                } else {
+                    stack.push((level - 1, from, to));
+                }
+            }
+        }
     }
 }
 
-fn split(centres: &[[f64; 3]], items: &mut [u32], offset: usize, nodes: &mut Vec<Node>) {
-    let node = nodes.len();
-    nodes.push(Node {
-        around: MovingBox::EMPTY,
-        first: offset as u32,
-        count: items.len() as u32,
-    });
-    if items.len() <= LEAF {
+/// Orders `items` so that every aligned run of `WIDTH`, `WIDTH`², … of them is compact.
+fn arrange(centres: &[[f64; 3]], items: &mut [u32]) {
+    if items.len() <= WIDTH {
         return;
     }
     let spread = |axis: usize| {
@@ -230,73 +392,141 @@ fn split(centres: &[[f64; 3]], items: &mut [u32], offset: usize, nodes: &mut Vec
             best
         }
     });
-    let middle = items.len() / 2;
-    items.select_nth_unstable_by(middle, |&a, &b| {
+    // Nodes to the left: the largest power of two that leaves some to the right.
+    let nodes = items.len().div_ceil(WIDTH);
+    let left = WIDTH * (nodes.next_power_of_two() / 2);
+    items.select_nth_unstable_by(left, |&a, &b| {
         let key = |i: u32| centres[i as usize][axis];
         key(a).total_cmp(&key(b)).then(a.cmp(&b))
     });
-    let (left, right) = items.split_at_mut(middle);
-    split(centres, left, offset, nodes);
-    nodes[node].first = nodes.len() as u32;
-    nodes[node].count = 0;
-    split(centres, right, offset + middle, nodes);
+    let (left, right) = items.split_at_mut(left);
+    arrange(centres, left);
+    arrange(centres, right);
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::DVec3;
+    use std::collections::BTreeSet;
 
-    #[test]
-    fn whatever_meets_on_the_way_is_found() {
-        // Points that fly through each other: brute force over time against the tree.
-        let place =
-            |i: u32, s: f64| [1.3, 2.9, 0.7].map(|f: f64| (f64::from(i) * f + s).sin() * 2.0);
-        let start: Vec<DVec3> = (0..200).map(|i| DVec3::from_array(place(i, 0.0))).collect();
-        let shift: Vec<DVec3> = (0..200)
-            .map(|i| DVec3::from_array(place(i, 4.0)) * 0.5)
-            .collect();
-        let radius = 0.05;
-        let boxes: Vec<MovingBox> = start
-            .iter()
-            .zip(&shift)
-            .map(|(x, d)| MovingBox {
-                middle: Aabb::of(&[x.as_vec3().to_array()]).grown(radius),
-                shift: Aabb::of(&[d.as_vec3().to_array()]),
-            })
-            .collect();
-        let features: Vec<[u32; 1]> = (0..200).map(|i| [i]).collect();
-        let mut tree = Tree::build(&start, &features);
-        tree.refit(&boxes, &features);
-        let mut meetings = 0;
-        let mut together = std::collections::BTreeSet::new();
-        tree.meeting_itself(0.0, |i, j| {
-            assert!(
-                together.insert((i.min(j), i.max(j))),
-                "{i} and {j} found twice"
-            );
-        });
-        let mut across = std::collections::BTreeSet::new();
-        tree.meeting_tree(&tree.clone(), 0.0, |i, j| {
-            assert!(across.insert((i, j)), "{i} and {j} found twice");
-        });
-        for i in 0..200 {
-            let mut found = Vec::new();
-            tree.meeting(&boxes[i as usize], 0.0, |j| found.push(j));
-            for j in 0..200 {
-                assert_eq!(found.contains(&j), across.contains(&(i, j)));
-                assert!(i == j || found.contains(&j) == together.contains(&(i.min(j), i.max(j))));
-                let (a, b) = (i as usize, j as usize);
-                let at = |t: f64| (start[a] + t * shift[a]) - (start[b] + t * shift[b]);
-                let meet = (-50..=50).any(|t| {
-                    at(f64::from(t) / 50.0).abs().max_element() < 1.99 * f64::from(radius)
-                });
-                if meet {
-                    meetings += 1;
-                    assert!(found.contains(&j), "{i} and {j} meet");
-                }
+    /// Points that fly through each other, with what they may stray at the end.
+    struct Swarm {
+        start: Vec<DVec3>,
+        end: Vec<DVec3>,
+        radius: f64,
+    }
+
+    impl Swarm {
+        fn new(count: u32, seed: f64) -> Self {
+            let place = |i: u32, s: f64| {
+                let x = [1.3, 2.9, 0.7].map(|f: f64| (f64::from(i) * f + s).sin() * 2.0);
+                DVec3::from_array(x)
+            };
+            let start: Vec<DVec3> = (0..count).map(|i| place(i, seed)).collect();
+            let end = (0..count).map(|i| start[i as usize] + place(i, seed + 4.0));
+            Self {
+                end: end.collect(),
+                start,
+                radius: 0.05,
             }
         }
-        assert!(meetings > 220, "too few meetings for a test: {meetings}");
+
+        fn boxes(&self) -> Vec<MovingBox> {
+            let ends = self.start.iter().zip(&self.end);
+            ends.map(|(s, e)| MovingBox::of(*s, *e, self.radius))
+                .collect()
+        }
+
+        fn tree(&self) -> Tree<1> {
+            let features: Vec<[u32; 1]> = (0..self.start.len() as u32).map(|i| [i]).collect();
+            let mut tree = Tree::build(&self.start, &features);
+            tree.refit(&self.boxes());
+            tree
+        }
+
+        /// Whether two points come so near that their boxes touch, at one of many moments.
+        fn meets(&self, a: usize, other: &Self, b: usize) -> bool {
+            (0..=100).any(|moment| {
+                let t = f64::from(moment) / 100.0;
+                let apart =
+                    self.start[a].lerp(self.end[a], t) - other.start[b].lerp(other.end[b], t);
+                apart.abs().max_element() < (self.radius + other.radius) * t
+            })
+        }
+    }
+
+    #[test]
+    fn whatever_meets_on_the_way_is_found_once() {
+        for count in [1, 7, 8, 9, 64, 65, 200, 600] {
+            let (a, b) = (Swarm::new(count, 0.0), Swarm::new(150, 0.3));
+            let (tree, other) = (a.tree(), b.tree());
+            let mut across = BTreeSet::new();
+            tree.meeting_tree(&other, 0.0, |[i], [j]| {
+                assert!(across.insert((i, j)), "{i} and {j} found twice");
+            });
+            let mut back = BTreeSet::new();
+            other.meeting_tree(&tree, 0.0, |[j], [i]| {
+                back.insert((i, j));
+            });
+            assert_eq!(across, back);
+            let mut single = BTreeSet::new();
+            for (i, around) in a.boxes().iter().enumerate() {
+                other.meeting(around, 0.0, |[j]| {
+                    single.insert((i as u32, j));
+                });
+            }
+            assert_eq!(across, single);
+            let mut together = BTreeSet::new();
+            tree.meeting_itself(0.0, |[i], [j]| {
+                assert!(i != j && together.insert((i.min(j), i.max(j))), "{i}, {j}");
+            });
+            let (boxes, others) = (a.boxes(), b.boxes());
+            for i in 0..count {
+                for j in 0..150 {
+                    let expected = boxes[i as usize].can_meet(&others[j as usize], 0.0);
+                    assert_eq!(across.contains(&(i, j)), expected);
+                    assert!(expected || !a.meets(i as usize, &b, j as usize));
+                }
+                for j in 0..i {
+                    let expected = boxes[i as usize].can_meet(&boxes[j as usize], 0.0);
+                    assert_eq!(together.contains(&(j, i)), expected);
+                    assert!(expected || !a.meets(i as usize, &a, j as usize));
+                }
+            }
+            assert!(
+                across.len() > count as usize / 20,
+                "too few meetings for a test"
+            );
+            assert!(
+                across.len() < 150 * count as usize / 2 + 100,
+                "too many for a test"
+            );
+        }
+    }
+
+    #[test]
+    fn points_that_fly_in_formation_do_not_meet() {
+        let flight = DVec3::new(3.0, 0.0, 0.0);
+        let points = [DVec3::ZERO, DVec3::new(0.2, 0.0, 0.0)];
+        let boxes = points.map(|p| MovingBox::of(p, p + flight, 0.01));
+        assert!(!boxes[0].can_meet(&boxes[1], 0.17));
+        assert!(boxes[0].can_meet(&boxes[1], 0.19));
+    }
+
+    #[test]
+    fn what_grew_is_found_where_it_grew_to() {
+        let swarm = Swarm::new(200, 0.0);
+        let far = DVec3::splat(30.0);
+        let room = MovingBox::of(far, far, 0.1);
+        let mut tree = swarm.tree();
+        let mut found = Vec::new();
+        tree.meeting(&room, 0.0, |[i]| found.push(i));
+        assert!(found.is_empty());
+        tree.grow(123, &room);
+        tree.meeting(&room, 0.0, |[i]| found.push(i));
+        assert_eq!(found, [123]);
+        found.clear();
+        tree.meeting(&swarm.boxes()[123], 0.0, |[i]| found.push(i));
+        assert!(found.contains(&123), "lost where it was");
     }
 }

@@ -9,6 +9,8 @@
 
 use glam::DVec3;
 
+use super::pair::Features;
+use super::tree::MovingBox;
 use crate::engine::state::State;
 
 /// Narrowest growth of a tube, m per substep.
@@ -16,32 +18,40 @@ const NARROWEST_M: f64 = 0.15e-3;
 /// Widest growth of a tube, m per substep.
 const WIDEST_M: f64 = 2e-3;
 /// A vertex may be this far out of its tube.
-const SLACK_M: f64 = 1.5e-3;
+pub(crate) const SLACK_M: f64 = 1.5e-3;
+
+/// One vertex's tube.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(align(32))]
+pub(crate) struct Tube {
+    /// Displacement per substep along the line.
+    pub step: DVec3,
+    /// Growth of the radius per substep, m.
+    pub radius: f64,
+}
 
 /// Tubes of all vertices.
 #[derive(Clone, Debug)]
 pub(crate) struct Tubes {
+    pub of: Vec<Tube>,
     /// Positions at the last search.
     start: Vec<DVec3>,
-    /// Displacement per substep along the line.
-    pub step: Vec<DVec3>,
-    /// Growth of the radius per substep, m.
-    pub radius: Vec<f64>,
     /// Recent deviation per substep, m.
     deviation: Vec<f64>,
     /// Substeps since the last search; `None` before the first.
     age: Option<u32>,
+    /// Substeps the tubes are laid for.
+    substeps: f64,
 }
 
 impl Tubes {
     pub fn new(state: &State) -> Self {
-        let count = state.x.len();
         Self {
-            start: vec![DVec3::ZERO; count],
-            step: vec![DVec3::ZERO; count],
-            radius: vec![0.0; count],
+            of: vec![Tube::default(); state.x.len()],
+            start: vec![DVec3::ZERO; state.x.len()],
             deviation: vec![0.3e-3; state.cloth],
             age: None,
+            substeps: 0.0,
         }
     }
 
@@ -55,14 +65,15 @@ impl Tubes {
         self.age = None;
     }
 
-    /// Lays new tubes along the present velocities.
-    pub fn lay(&mut self, state: &State, h: f64) {
+    /// Lays new tubes for `substeps` along the present velocities.
+    pub fn lay(&mut self, state: &State, h: f64, substeps: f64) {
+        self.substeps = substeps;
         self.start.copy_from_slice(&state.x);
-        for i in 0..state.x.len() {
-            self.step[i] = state.v[i] * h;
+        for (tube, v) in self.of.iter_mut().zip(&state.v) {
+            tube.step = *v * h;
         }
         for i in 0..state.cloth {
-            self.radius[i] = if state.w[i] > 0.0 {
+            self.of[i].radius = if state.w[i] > 0.0 {
                 (1.5 * self.deviation[i]).clamp(NARROWEST_M, WIDEST_M)
             } else {
                 NARROWEST_M
@@ -72,9 +83,40 @@ impl Tubes {
         self.age = Some(0);
     }
 
-    /// How far the present substep of a cloth vertex deviates from its line's step, m.
-    pub fn deviation(&self, state: &State, i: usize) -> f64 {
-        (state.p[i] - state.x[i]).distance(self.step[i])
+    /// How fast the gap of two features along `normal`, from the second to the
+    /// first, can shrink, m per substep; valid for as long as the tubes are.
+    ///
+    /// The plane between them moves with the normal fixed: what vertices do
+    /// along it does not count, however fast.
+    #[inline]
+    pub fn closing(&self, features: Features, vertices: [u32; 4], normal: DVec3) -> f64 {
+        let [a, b, c, d] = vertices;
+        let of = |v: u32| &self.of[v as usize];
+        let (a, b, c, d) = (of(a), of(b), of(c), of(d));
+        let back = |tube: &Tube| tube.radius - normal.dot(tube.step);
+        let forth = |tube: &Tube| tube.radius + normal.dot(tube.step);
+        match features {
+            Features::VertexFace => back(a) + forth(b).max(forth(c)).max(forth(d)),
+            Features::EdgeEdge => back(a).max(back(b)) + forth(c).max(forth(d)),
+        }
+    }
+
+    /// Whether a cloth vertex deviates further from its line in the present substep than its tube allows.
+    pub fn left(&self, state: &State, i: usize) -> bool {
+        let Tube { step, radius } = self.of[i];
+        (state.p[i] - state.x[i]).distance_squared(step) > radius * radius
+    }
+
+    /// The way of a cloth vertex in the present substep, with its own tube as
+    /// motion: a box that at the time of the substep holds where it goes.
+    pub fn way(&self, state: &State, i: usize) -> MovingBox {
+        let age = f64::from(self.age.unwrap_or(0));
+        let step = self.of[i].step;
+        let along = self.substeps * step;
+        let from = state.x[i] - age * step;
+        let to = state.p[i] - (age + 1.0) * step;
+        let at = |place: DVec3| MovingBox::of(place, place + along, 0.0);
+        at(from).union(&at(to))
     }
 
     /// Notes where the substep led.
@@ -85,10 +127,12 @@ impl Tubes {
         let mut left = false;
         for i in 0..state.cloth {
             // Positions have been swapped: `p` is where the substep began.
-            let deviation = (state.x[i] - state.p[i]).distance(self.step[i]);
+            let tube = &self.of[i];
+            let deviation = (state.x[i] - state.p[i]).distance(tube.step);
             self.deviation[i] = self.deviation[i].max(deviation);
-            let line = self.start[i] + count * self.step[i];
-            left |= state.x[i].distance(line) - self.radius[i] * count > SLACK_M;
+            let line = self.start[i] + count * tube.step;
+            let room = tube.radius * count + SLACK_M;
+            left |= state.x[i].distance_squared(line) > room * room;
         }
         if left {
             self.age = None;

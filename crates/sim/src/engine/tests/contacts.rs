@@ -4,7 +4,12 @@ use drape_geometry::intersect::{count_between, count_within};
 
 use super::*;
 
-fn hits(engine: &Engine, garments: &[Garment], body: &[[f32; 3]], faces: &[[u32; 3]]) -> u32 {
+pub(super) fn hits(
+    engine: &Engine,
+    garments: &[Garment],
+    body: &[[f32; 3]],
+    faces: &[[u32; 3]],
+) -> u32 {
     let positions = engine.garments();
     let mut hits = 0;
     for (i, x) in positions.iter().enumerate() {

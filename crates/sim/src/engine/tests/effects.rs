@@ -132,3 +132,53 @@ fn the_same_input_gives_the_same_bits() {
     let run = || run(&mut dressed_ball(&effects, |_| {}), wind(300.0));
     assert_eq!(run(), run());
 }
+
+#[test]
+fn contacts_out_of_reach_are_contacts_not_called_for() {
+    let body = Body::ball([0.0, 0.0, -300.0], 2.0);
+    let garments = [
+        sheet(7, 7, 0.25, 0, |x, y| [x, y, 0.1 * x * y]),
+        sheet(7, 7, 0.25, 1, |x, y| [x, y, 40.0 + 0.1 * x * y]),
+    ];
+    let falling = |left_out: &[Effect]| {
+        let effects = [&USUAL[..], &[Effect::Wind]].concat();
+        let asked: Vec<Effect> = effects
+            .into_iter()
+            .filter(|effect| !left_out.contains(effect))
+            .collect();
+        let mut engine = engine(&garments, &body, &asked);
+        for _ in 0..6 {
+            engine
+                .advance(&body.positions, wind(100.0), FRAME_S)
+                .unwrap();
+        }
+        (bits(&engine), engine)
+    };
+    let (all, engine) = falling(&[]);
+    for effect in [
+        Effect::BodyContact,
+        Effect::LayerContact,
+        Effect::SelfContact,
+        Effect::Friction,
+    ] {
+        assert!(engine.passes(effect) > 0, "{effect} was to be forced on");
+        let (without, engine) = falling(&[effect]);
+        assert_eq!(engine.passes(effect), 0);
+        assert_eq!(all, without, "{effect}");
+    }
+    let contacts = [
+        Effect::BodyContact,
+        Effect::LayerContact,
+        Effect::SelfContact,
+    ];
+    assert_eq!(all, falling(&contacts).0);
+}
+
+#[test]
+fn a_waist_band_without_vertices_is_none() {
+    let with_band = [&USUAL[..], &[Effect::Waistband]].concat();
+    let plain = run(&mut dressed_ball(&USUAL, |_| {}), Wind::default());
+    let mut empty = dressed_ball(&with_band, |_| {});
+    assert_eq!(plain, run(&mut empty, Wind::default()));
+    assert_eq!(empty.passes(Effect::Waistband), 0);
+}

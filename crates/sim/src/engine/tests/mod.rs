@@ -5,12 +5,16 @@
 //! | [`laws`] | fall, elongation, friction angle, terminal speed, momentum, energy |
 //! | [`effects`] | what is not called for never runs and changes no bit |
 //! | [`contacts`] | layers on a moving body stay apart; what is inside comes out |
+//! | [`profiles`] | where time goes: every effect has its row, asking changes nothing |
 //! | [`robust`] | extreme and bad input |
+//! | [`verification`] | pendulum, catenary, order of convergence, energy, a long gale |
 
 mod contacts;
 mod effects;
 mod laws;
+mod profiles;
 mod robust;
+mod verification;
 
 use drape_dataset::registry::{Effect, GarmentKind};
 use drape_dataset::sequence::{Garment, Material, Wind};

@@ -11,7 +11,7 @@ use drape_model::{ForwardSeconds, FrameGraph, LayersNet, ModelConfig, Parameters
 use drape_train::adam::Adam;
 use drape_train::losses::LossConfig;
 use drape_train::losses::orthogonality::orthogonality;
-use drape_train::step::{advance, sample_gradient};
+use drape_train::step::{advance_pairs, sample_gradient};
 use serde::{Deserialize, Serialize};
 
 use crate::case::{Shape, make};
@@ -147,6 +147,7 @@ pub fn measure(shape: &Shape, runs: usize) -> Result<CaseResult> {
         Step::new(&next, &now_states, statistics, gravity)
     };
     let mut stages = Stages::default();
+    let (mut state, mut accelerations) = (Vec::new(), Vec::new());
     let inference_ms = time(runs, || {
         let start = Instant::now();
         let step = drive();
@@ -154,12 +155,12 @@ pub fn measure(shape: &Shape, runs: usize) -> Result<CaseResult> {
             "inference: body states, forces",
             start.elapsed().as_secs_f64(),
         );
-        let prediction = net.forward(outfit, columns, &sample.state, &step)?;
-        stages.forward("inference", &prediction.seconds);
-        black_box(advance(
-            &sample.state,
-            &prediction.acceleration.flatten_all()?.to_vec1()?,
-        ));
+        let evaluation = net.evaluate(outfit, columns, &sample.state, &step)?;
+        stages.forward("inference", &evaluation.seconds);
+        evaluation.accelerations(&mut accelerations);
+        state.clone_from(&sample.state);
+        advance_pairs(&mut state, &accelerations);
+        black_box(&state);
         Ok(())
     })?;
     let graph = FrameGraph::new(&config, outfit, &sample.state, &sample.steps[0])?;
@@ -178,7 +179,7 @@ pub fn measure(shape: &Shape, runs: usize) -> Result<CaseResult> {
             &sample.state,
             true,
         )?;
-        stages.forward("training", &result.prediction.seconds);
+        stages.forward("training", &result.evaluation.seconds);
         stages.add("training: losses", result.seconds[0]);
         stages.add("training: backward", result.seconds[1]);
         let start = Instant::now();
