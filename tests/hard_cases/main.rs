@@ -38,7 +38,8 @@ fn run_with(parameters: &Parameters, sample: &Sample, statistics: &Statistics) -
         .forward(&sample.outfit, columns, &sample.state, &sample.steps[0])
         .unwrap();
     let first: Vec<f32> = first.acceleration.flatten_all().unwrap().to_vec1().unwrap();
-    let rolled = roll_in(&net, columns, sample, 0).unwrap();
+    let mut rolled = Vec::new();
+    roll_in(&net, columns, sample, 0, &mut rolled).unwrap();
     let losses = LossConfig::default();
     let trained =
         sample_gradient(&net, parameters, columns, &losses, sample, &rolled, true).unwrap();

@@ -452,7 +452,8 @@ fn multistep(
             ensure!(switch > 0, "{prefix}_multistep_train has no tiesafe.sel0");
             break;
         }
-        let state = roll_in(&frozen, &case.statistics, &sample, switch)?;
+        let mut state = Vec::new();
+        roll_in(&frozen, &case.statistics, &sample, switch, &mut state)?;
         let expected: Vec<StatePair> = file.columns(&format!("{base}final_state_in"), 0)?;
         let flat = |rows: &[StatePair]| {
             rows.as_flattened()

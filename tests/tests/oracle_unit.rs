@@ -27,8 +27,8 @@ use drape_model::parameters::group_rotation_name;
 use drape_model::{FrameAxis, ModelConfig, Parameters};
 use drape_tests::dense_attention::dense_weights;
 use drape_tests::oracle::{Tensors, relative};
-use drape_train::losses::collision::{body_collision, layer_collision};
-use drape_train::losses::normal::{MeshNormals, normal_loss};
+use drape_train::losses::collision::{CollisionRoom, body_collision, layer_collision};
+use drape_train::losses::normal::{MeshNormals, NormalRoom, normal_loss};
 use drape_train::losses::{LossConfig, Term, squared_error};
 
 const P: usize = 24;
@@ -407,16 +407,32 @@ fn losses_and_their_gradients() {
             attributes: Vec::new(),
             patch_attributes: Csr::default(),
         };
-        let normals = MeshNormals::new(&predicted, &garment_faces);
+        let (mut room, mut true_room) = (NormalRoom::default(), NormalRoom::default());
+        let normals = MeshNormals::new(&predicted, &garment_faces, &mut room);
+        let true_normals = MeshNormals::new(&truth, &garment_faces, &mut true_room);
+        let mut room = CollisionRoom::default();
+        let [mut position, mut normal, mut on_body, mut between] =
+            [(); 4].map(|()| Term::default());
+        squared_error(&predicted, &truth, &mut position);
+        normal_loss(&normals, &true_normals, &mut Term::default(), &mut normal);
         let config = LossConfig::released().collision;
-        let on_body = body_collision(
+        body_collision(
             &config,
             &predicted,
             &body,
             &outfit.body_faces,
             &outfit.body_on_border,
+            &mut room,
+            &mut on_body,
         );
-        let between = layer_collision(&config, &outfit, &predicted, &normals);
+        layer_collision(
+            &config,
+            &outfit,
+            &predicted,
+            &normals,
+            &mut room,
+            &mut between,
+        );
         close(
             "layer loss",
             &[between.value],
@@ -431,11 +447,8 @@ fn losses_and_their_gradients() {
                 .collect(),
         };
         for (term, found) in [
-            ("l2", squared_error(&predicted, &truth)),
-            (
-                "normal",
-                normal_loss(&normals, &MeshNormals::new(&truth, &garment_faces)),
-            ),
+            ("l2", position),
+            ("normal", normal),
             ("collision_body", on_body),
             ("collision_total_1p3_0p1", total),
         ] {

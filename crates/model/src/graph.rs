@@ -187,11 +187,10 @@ fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
 }
 
 /// Mean state of each patch's members.
-pub fn patch_means<const N: usize>(members: &Csr, states: &[[f32; N]]) -> Vec<[f32; N]> {
-    means(members, states).collect()
-}
-
-fn means<const N: usize>(members: &Csr, states: &[[f32; N]]) -> impl Iterator<Item = [f32; N]> {
+pub fn patch_means<const N: usize>(
+    members: &Csr,
+    states: &[[f32; N]],
+) -> impl Iterator<Item = [f32; N]> {
     members.iter().map(|vertices| {
         let mut sum = [0f32; N];
         for &vertex in vertices {
@@ -319,7 +318,7 @@ impl FrameGraph {
             row_of,
             kept,
         } = &mut self.room;
-        refill(&mut self.patch_states, means(&patches.members, state));
+        refill(&mut self.patch_states, patch_means(&patches.members, state));
         refill(centres, self.patch_states.iter().map(position));
         refill(body, step.body.iter().map(position));
         let (centres, body) = (&*centres, &*body);

@@ -12,26 +12,26 @@
 //! The reference x of a gradient step that follows steps without gradient is not
 //! the recorded position but a way back to it, see [`returning`].
 //! Since x̂ = x + v + a, the gradient by position is the gradient by the
-//! network's acceleration; terms are computed in f64 outside the tensor graph.
+//! network's acceleration; terms are computed in f64 outside the tensor graph, in
+//! memory that the next sample uses again ([`terms`]).
 //! Source: the published program's description, section 10.
 
 pub mod collision;
 pub mod normal;
 pub mod orthogonality;
+pub mod terms;
 
 use serde::{Deserialize, Serialize};
 
-use drape_dataset::sample::{Outfit, State, StatePair, Step};
-use drape_model::patch_means;
+use drape_dataset::sample::{Outfit, State, StatePair};
 
 use collision::{CollisionConfig, CollisionMean};
-use normal::MeshNormals;
 
 /// A vector in f64.
 pub type Vector = [f64; 3];
 
 /// A term's value and its gradient by position, `[vertex, 3]`.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Term {
     /// Value.
     pub value: f64,
@@ -40,20 +40,20 @@ pub struct Term {
 }
 
 impl Term {
-    pub(crate) fn zero(vertices: usize) -> Self {
-        Self {
-            value: 0.0,
-            gradient: vec![[0.0; 3]; vertices],
-        }
+    /// Becomes zero, in the same memory.
+    fn clear(&mut self, vertices: usize) {
+        self.value = 0.0;
+        zeros(&mut self.gradient, vertices);
     }
 
-    fn add(&mut self, other: &Term, weight: f64) {
-        self.value += weight * other.value;
-        for (sum, value) in self.gradient.iter_mut().zip(&other.gradient) {
+    /// Adds the weighted gradient to `gradient`; returns the weighted value.
+    fn add_to(&self, gradient: &mut [Vector], weight: f64) -> f64 {
+        for (sum, value) in gradient.iter_mut().zip(&self.gradient) {
             for axis in 0..3 {
                 sum[axis] += weight * value[axis];
             }
         }
+        weight * self.value
     }
 }
 
@@ -167,73 +167,35 @@ impl LossValues {
     }
 }
 
-/// Mean squared distance of rows.
-pub fn squared_error(predicted: &[Vector], reference: &[Vector]) -> Term {
-    let n = predicted.len().max(1) as f64;
-    let mut term = Term::zero(predicted.len());
-    for ((x, y), gradient) in predicted.iter().zip(reference).zip(&mut term.gradient) {
-        for axis in 0..3 {
-            let d = x[axis] - y[axis];
-            term.value += d * d / n;
-            gradient[axis] = 2.0 * d / n;
-        }
-    }
-    term
+/// Zero vectors, in the same memory.
+fn zeros(list: &mut Vec<Vector>, len: usize) {
+    list.clear();
+    list.resize(len, [0.0; 3]);
 }
 
-/// All terms of one step: values, gradient by vertex position, gradient by patch position.
-///
-/// `predicted` and `predicted_patches` are positions; `with_collisions` is false during the warm-up.
-pub fn all_terms(
-    config: &LossConfig,
-    outfit: &Outfit,
-    step: &Step,
-    predicted: &[Vector],
-    predicted_patches: &[Vector],
-    reference: &[State],
-    with_collisions: bool,
-) -> (LossValues, Vec<Vector>, Vec<Vector>) {
-    let wide = |row: &State| [f64::from(row[0]), f64::from(row[1]), f64::from(row[2])];
-    let truth: Vec<Vector> = reference.iter().map(wide).collect();
-    let mut total = Term::zero(predicted.len());
-    let mut values = LossValues::default();
-    let mut add = |term: &Term, weight: f64| {
-        total.add(term, weight);
-        weight * term.value
-    };
-    values.position = add(&squared_error(predicted, &truth), config.position);
-    let predicted_normals = MeshNormals::new(predicted, &outfit.faces);
-    let true_normals = MeshNormals::new(&truth, &outfit.faces);
-    values.normal = add(
-        &normal::normal_loss(&predicted_normals, &true_normals),
-        config.normal,
-    );
-    if with_collisions && config.body_collision > 0.0 && outfit.body_vertices > 0 {
-        let term = collision::body_collision(
-            &config.collision,
-            predicted,
-            &step.body,
-            &outfit.body_faces,
-            &outfit.body_on_border,
-        );
-        values.body_collision = add(&term, config.body_collision);
+/// Mean squared distance of rows, without its gradient.
+pub fn mean_square(predicted: &[Vector], reference: &[Vector]) -> f64 {
+    let n = predicted.len().max(1) as f64;
+    let mut sum = 0.0;
+    for (x, y) in predicted.iter().zip(reference) {
+        for axis in 0..3 {
+            let d = x[axis] - y[axis];
+            sum += d * d / n;
+        }
     }
-    if with_collisions && config.layer_collision > 0.0 && outfit.garments() > 1 {
-        let term =
-            collision::layer_collision(&config.collision, outfit, predicted, &predicted_normals);
-        values.layer_collision = add(&term, config.layer_collision);
+    sum
+}
+
+/// Mean squared distance of rows.
+pub fn squared_error(predicted: &[Vector], reference: &[Vector], term: &mut Term) {
+    let n = predicted.len().max(1) as f64;
+    term.clear(predicted.len());
+    term.value = mean_square(predicted, reference);
+    for ((x, y), gradient) in predicted.iter().zip(reference).zip(&mut term.gradient) {
+        for axis in 0..3 {
+            gradient[axis] = 2.0 * (x[axis] - y[axis]) / n;
+        }
     }
-    let patch_truth: Vec<Vector> = patch_means(&outfit.patches.members, reference)
-        .iter()
-        .map(wide)
-        .collect();
-    let mut patches = Term::zero(predicted_patches.len());
-    patches.add(
-        &squared_error(predicted_patches, &patch_truth),
-        config.patch,
-    );
-    values.patch = patches.value;
-    (values, total.gradient, patches.gradient)
 }
 
 /// The reference after a step for a state that strayed: a critically damped return.
@@ -245,25 +207,26 @@ pub fn all_terms(
 /// `frames` = 1 gives x itself, the published loss: then all of the error is to be
 /// made up for in one frame, and since little of it can be told from the state, its
 /// size drowns what can be learnt.
-pub fn returning(
+pub fn returning<'a>(
     frames: f64,
-    recorded: &[State],
-    recorded_before: &[State],
-    state: &[StatePair],
-) -> Vec<State> {
+    recorded: &'a [State],
+    recorded_before: impl IntoIterator<Item = &'a State>,
+    state: &'a [StatePair],
+) -> impl Iterator<Item = State> {
     let left = 1.0 - 1.0 / frames;
     let keep_x = (1.0 - (1.0 - left).powi(2)) as f32;
     let keep_v = left.powi(2) as f32;
-    let mut target = recorded.to_vec();
-    if left > 0.0 {
-        for ((target, before), state) in target.iter_mut().zip(recorded_before).zip(state) {
+    let rows = recorded.iter().zip(recorded_before).zip(state);
+    rows.map(move |((recorded, before), state)| {
+        let mut target = *recorded;
+        if left > 0.0 {
             for axis in 0..3 {
                 target[axis] -= keep_x * (before[axis] - state[axis])
                     + keep_v * (before[3 + axis] - state[3 + axis]);
             }
         }
-    }
-    target
+        target
+    })
 }
 
 /// What each garment's gradient is multiplied with: `a²/(a² + discount · h)`.
@@ -283,17 +246,24 @@ pub fn stray_factors(
     garments
         .map(|ends| {
             let range = ends[0]..ends[1];
-            let h = squared_error(&held[range.clone()], &truth[range]).value;
+            let h = mean_square(&held[range.clone()], &truth[range]);
             squared_acceleration / (squared_acceleration + discount * h)
         })
         .collect()
 }
 
 /// Positions after a step: x + v + a, in f64.
-pub fn integrate(states: &[StatePair], accelerations: &[f32]) -> Vec<Vector> {
+pub fn integrate(
+    states: &[StatePair],
+    accelerations: impl IntoIterator<Item = [f32; 3]>,
+) -> impl Iterator<Item = Vector> {
     states
         .iter()
-        .zip(accelerations.chunks_exact(3))
+        .zip(accelerations)
         .map(|(s, a)| [0, 1, 2].map(|axis| f64::from((a[axis] + s[3 + axis]) + s[axis])))
-        .collect()
+}
+
+/// A state's position in f64.
+pub fn position(row: &State) -> Vector {
+    [f64::from(row[0]), f64::from(row[1]), f64::from(row[2])]
 }

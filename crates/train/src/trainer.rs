@@ -113,7 +113,8 @@ impl Trainer<'_> {
                 }
                 other => other,
             };
-            let mut state = roll_in(&frozen, columns, &sample, 0).map_err(overflowed)?;
+            let mut state = Vec::new();
+            roll_in(&frozen, columns, &sample, 0, &mut state).map_err(overflowed)?;
             let (name, frame) = (set.name(draw), draw.frame);
             let label = format!("sway/update {update}, {name}, frame {frame}");
             sway_of_draw(config, &mut state, &sample.outfit, &label);

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use crate::config::TrainConfig;
 use crate::data::TrainingSet;
 use crate::error::Result;
-use crate::losses::{integrate, stray_factors};
+use crate::losses::{integrate, position, stray_factors};
 use crate::step::target;
 use crate::sway::sway_of_draw;
 
@@ -38,11 +38,8 @@ pub fn fit_trend(set: &TrainingSet, config: &TrainConfig) -> Result<Trend> {
             let step = sample.steps.last().expect("a sample has a step");
             let graph = FrameGraph::new(&config.model, &sample.outfit, &state, step)?;
             let target = target(config.losses.return_frames, &sample, &state);
-            let truth: Vec<[f64; 3]> = target
-                .iter()
-                .map(|row| [0, 1, 2].map(|axis| f64::from(row[axis])))
-                .collect();
-            let held = integrate(&state, &vec![0.0; 3 * state.len()]);
+            let truth: Vec<_> = target.map(|row| position(&row)).collect();
+            let held: Vec<_> = integrate(&state, std::iter::repeat([0.0; 3])).collect();
             let squared = set.statistics.vertices.std[6..9].iter();
             let squared = squared.map(|std| f64::from(*std).powi(2)).sum();
             let discount = config.losses.stray_discount;

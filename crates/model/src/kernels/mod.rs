@@ -56,7 +56,7 @@ pub(crate) fn recycled<A, B>(mut list: Vec<A>) -> Vec<B> {
 }
 
 /// Buffers that are used again: who needs some takes them from the shelf and puts them back.
-pub(crate) trait Shelved: Default + Send + 'static {
+pub trait Shelved: Default + Send + 'static {
     /// Those that nobody uses at the moment.
     fn shelf() -> &'static Mutex<Vec<Self>>;
 

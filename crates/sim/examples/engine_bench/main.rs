@@ -222,7 +222,8 @@ impl Run {
             .filter(|(part, _)| bodys(part))
             .map(|(_, spent)| spent.time.as_secs_f64())
             .sum();
-        mean(&self.seconds) - of_body / profile.frames.max(1) as f64
+        // The profile's times are on the wall: their share is what counts.
+        mean(&self.seconds) * (1.0 - of_body / profile.total.as_secs_f64().max(f64::MIN_POSITIVE))
     }
 
     fn print(&self, name: &str) {

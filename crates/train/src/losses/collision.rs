@@ -15,12 +15,12 @@ use serde::{Deserialize, Serialize};
 
 use drape_dataset::sample::{Outfit, StatePair};
 use drape_geometry::grid::Grid;
-use drape_geometry::normals::vertex_normals;
+use drape_geometry::normals::vertex_normals_again;
 use drape_model::kernels::for_all_with;
 use rayon::prelude::*;
 
 use super::normal::{MeshNormals, dot};
-use super::{Term, Vector};
+use super::{Term, Vector, zeros};
 
 const EPSILON: f64 = 1e-7;
 /// Cell of the search grid in units: a few vertex distances of cloth and body.
@@ -76,46 +76,64 @@ fn narrow(x: Vector) -> [f32; 3] {
     x.map(|value| value as f32)
 }
 
-fn hits(
-    config: &CollisionConfig,
-    predicted: &[Vector],
-    tested: Range<usize>,
-    obstacle: &[Vector],
-    normals: &[Vector],
-    on_border: &[bool],
-) -> Vec<Hit> {
-    let grid = Grid::build(
-        &obstacle.iter().map(|&x| narrow(x)).collect::<Vec<_>>(),
-        SEARCH_CELL,
-    );
-    let find = |near: &mut Vec<(u32, f32)>, vertex: usize| {
-        let x = predicted[vertex];
-        let nearest = match config.reach {
-            Some(reach) => {
-                grid.k_nearest(narrow(x), 1, reach as f32, near);
-                near.first().copied()
+/// What collisions are found in; its memory serves the next sample.
+#[derive(Default)]
+pub struct CollisionRoom {
+    search: Search,
+    /// Normals of the body.
+    normals: Vec<[f32; 3]>,
+    /// Gradient by the layers' normals.
+    by_normal: Vec<Vector>,
+}
+
+/// An obstacle's vertices, and what hits them.
+#[derive(Default)]
+struct Search {
+    points: Vec<[f32; 3]>,
+    grid: Grid,
+    found: Vec<Option<Hit>>,
+}
+
+impl Search {
+    /// Hits of the `tested` vertices on [`Search::points`]; `plane` gives place and normal of one.
+    fn hits(
+        &mut self,
+        config: &CollisionConfig,
+        predicted: &[Vector],
+        tested: Range<usize>,
+        plane: impl Fn(usize) -> [Vector; 2] + Sync,
+        on_border: &[bool],
+    ) -> impl Iterator<Item = &Hit> + Clone {
+        self.grid.rebuild(&self.points, SEARCH_CELL);
+        let grid = &self.grid;
+        let find = |vertex: usize| {
+            let x = predicted[vertex];
+            let nearest = match config.reach {
+                Some(reach) => grid.nearest_within(narrow(x), reach as f32),
+                None => grid.nearest(narrow(x)),
+            };
+            let nearest = nearest?.0 as usize;
+            if config.skip_borders && on_border[nearest] {
+                return None;
             }
-            None => grid.nearest(narrow(x)),
+            let [place, normal] = plane(nearest);
+            let apart = [0, 1, 2].map(|axis| x[axis] - place[axis]);
+            let s = dot(normal, apart) - config.threshold;
+            (s < 0.0).then_some(Hit { vertex, nearest, s })
         };
-        let nearest = nearest?.0 as usize;
-        if config.skip_borders && on_border[nearest] {
-            return None;
-        }
-        let apart = [0, 1, 2].map(|axis| x[axis] - obstacle[nearest][axis]);
-        let s = dot(normals[nearest], apart) - config.threshold;
-        (s < 0.0).then_some(Hit { vertex, nearest, s })
-    };
-    let mut found: Vec<Option<Hit>> = vec![None; tested.len()];
-    let pieces = found.par_chunks_mut(PIECE).enumerate();
-    for_all_with(
-        pieces,
-        |near: &mut Vec<(u32, f32)>, (piece, found): (usize, &mut [Option<Hit>])| {
-            for (vertex, to) in (tested.start + piece * PIECE..).zip(found) {
-                *to = find(near, vertex);
-            }
-        },
-    );
-    found.into_iter().flatten().collect()
+        self.found.clear();
+        self.found.resize(tested.len(), None);
+        let pieces = self.found.par_chunks_mut(PIECE).enumerate();
+        for_all_with(
+            pieces,
+            |(): &mut (), (piece, found): (usize, &mut [Option<Hit>])| {
+                for (vertex, to) in (tested.start + piece * PIECE..).zip(found) {
+                    *to = find(vertex);
+                }
+            },
+        );
+        self.found.iter().flatten()
+    }
 }
 
 fn divisor(config: &CollisionConfig, hits: usize, tested: usize) -> f64 {
@@ -134,22 +152,28 @@ pub fn body_collision(
     body: &[StatePair],
     body_faces: &[[u32; 3]],
     on_border: &[bool],
-) -> Term {
-    let body: Vec<[f32; 3]> = body.iter().map(|row| [row[0], row[1], row[2]]).collect();
-    let wide = |x: &[f32; 3]| x.map(f64::from);
-    let normals: Vec<Vector> = vertex_normals(&body, body_faces).iter().map(wide).collect();
-    let obstacle: Vec<Vector> = body.iter().map(wide).collect();
+    room: &mut CollisionRoom,
+    term: &mut Term,
+) {
+    let CollisionRoom {
+        search, normals, ..
+    } = room;
+    let place = |row: &StatePair| [row[0], row[1], row[2]];
+    search.points.clear();
+    search.points.extend(body.iter().map(place));
+    vertex_normals_again(&search.points, body_faces, normals);
+    let plane = |vertex: usize| [place(&body[vertex]), normals[vertex]].map(|x| x.map(f64::from));
     let tested = 0..predicted.len();
-    let hits = hits(config, predicted, tested, &obstacle, &normals, on_border);
-    let divisor = divisor(config, hits.len(), predicted.len());
-    let mut term = Term::zero(predicted.len());
+    let hits = search.hits(config, predicted, tested, plane, on_border);
+    let divisor = divisor(config, hits.clone().count(), predicted.len());
+    term.clear(predicted.len());
     for hit in hits {
+        let [_, normal] = plane(hit.nearest);
         term.value += hit.s * hit.s / divisor;
         for axis in 0..3 {
-            term.gradient[hit.vertex][axis] += 2.0 * hit.s / divisor * normals[hit.nearest][axis];
+            term.gradient[hit.vertex][axis] += 2.0 * hit.s / divisor * normal[axis];
         }
     }
-    term
 }
 
 /// Vertices of the last (outer) garment inside the garments before it; both move.
@@ -158,30 +182,31 @@ pub fn layer_collision(
     outfit: &Outfit,
     predicted: &[Vector],
     normals: &MeshNormals,
-) -> Term {
+    room: &mut CollisionRoom,
+    term: &mut Term,
+) {
+    let CollisionRoom {
+        search, by_normal, ..
+    } = room;
     let inner = outfit.garment_offsets[outfit.garments() - 1];
-    let hits = hits(
-        config,
-        predicted,
-        inner..predicted.len(),
-        &predicted[..inner],
-        &normals.normals[..inner],
-        &outfit.on_border[..inner],
-    );
-    let divisor = divisor(config, hits.len(), predicted.len() - inner);
-    let mut term = Term::zero(predicted.len());
-    let mut by_normal = vec![[0.0; 3]; predicted.len()];
+    search.points.clear();
+    let points = predicted[..inner].iter().map(|&x| narrow(x));
+    search.points.extend(points);
+    let plane = |vertex: usize| [predicted[vertex], normals.normals[vertex]];
+    let tested = inner..predicted.len();
+    let hits = search.hits(config, predicted, tested, plane, &outfit.on_border);
+    let divisor = divisor(config, hits.clone().count(), predicted.len() - inner);
+    term.clear(predicted.len());
+    zeros(by_normal, predicted.len());
     for hit in hits {
+        let [place, normal] = plane(hit.nearest);
         term.value += hit.s * hit.s / divisor;
         let ds = 2.0 * hit.s / divisor;
         for axis in 0..3 {
-            let n = normals.normals[hit.nearest][axis];
-            term.gradient[hit.vertex][axis] += ds * n;
-            term.gradient[hit.nearest][axis] -= ds * n;
-            by_normal[hit.nearest][axis] +=
-                ds * (predicted[hit.vertex][axis] - predicted[hit.nearest][axis]);
+            term.gradient[hit.vertex][axis] += ds * normal[axis];
+            term.gradient[hit.nearest][axis] -= ds * normal[axis];
+            by_normal[hit.nearest][axis] += ds * (predicted[hit.vertex][axis] - place[axis]);
         }
     }
-    normals.backward(&by_normal, &mut term.gradient);
-    term
+    normals.backward(by_normal, &mut term.gradient);
 }

@@ -4,7 +4,7 @@
 //! `n = s/(|s| + 1e-7)`, s the sum of the incident unit face normals.
 //! Faces whose m is shorter than 1e-12 pass no gradient: 1/1e-7 would explode.
 
-use super::{Term, Vector};
+use super::{Term, Vector, squared_error, zeros};
 
 const EPSILON: f64 = 1e-7;
 const DEGENERATE: f64 = 1e-12;
@@ -41,35 +41,47 @@ fn normalised(v: Vector) -> Vector {
     v.map(|value| value / length)
 }
 
+/// What a mesh's normals are computed in; its memory serves the next mesh.
+#[derive(Clone, Debug, Default)]
+pub struct NormalRoom {
+    crosses: Vec<Vector>,
+    sums: Vec<Vector>,
+    normals: Vec<Vector>,
+}
+
 /// A mesh's normals and what their backward pass needs.
 pub struct MeshNormals<'a> {
     positions: &'a [Vector],
     faces: &'a [[u32; 3]],
-    crosses: Vec<Vector>,
-    sums: Vec<Vector>,
+    crosses: &'a [Vector],
+    sums: &'a [Vector],
     /// Vertex normals.
-    pub normals: Vec<Vector>,
+    pub normals: &'a [Vector],
 }
 
 impl<'a> MeshNormals<'a> {
     /// Normals of a mesh.
-    pub fn new(positions: &'a [Vector], faces: &'a [[u32; 3]]) -> Self {
-        let mut sums = vec![[0.0; 3]; positions.len()];
-        let crosses: Vec<Vector> = faces
-            .iter()
-            .map(|face| {
-                let [a, b, c] = face.map(|vertex| positions[vertex as usize]);
-                let m = cross(sub(c, b), sub(a, b));
-                let u = normalised(m);
-                for vertex in face {
-                    for axis in 0..3 {
-                        sums[*vertex as usize][axis] += u[axis];
-                    }
+    pub fn new(positions: &'a [Vector], faces: &'a [[u32; 3]], room: &'a mut NormalRoom) -> Self {
+        let NormalRoom {
+            crosses,
+            sums,
+            normals,
+        } = room;
+        zeros(sums, positions.len());
+        crosses.clear();
+        crosses.extend(faces.iter().map(|face| {
+            let [a, b, c] = face.map(|vertex| positions[vertex as usize]);
+            let m = cross(sub(c, b), sub(a, b));
+            let u = normalised(m);
+            for vertex in face {
+                for axis in 0..3 {
+                    sums[*vertex as usize][axis] += u[axis];
                 }
-                m
-            })
-            .collect();
-        let normals = sums.iter().map(|&sum| normalised(sum)).collect();
+            }
+            m
+        }));
+        normals.clear();
+        normals.extend(sums.iter().map(|&sum| normalised(sum)));
         Self {
             positions,
             faces,
@@ -79,15 +91,14 @@ impl<'a> MeshNormals<'a> {
         }
     }
 
-    /// Adds the gradient by position that belongs to `by_normal`, the gradient by vertex normal.
-    pub fn backward(&self, by_normal: &[Vector], gradient: &mut [Vector]) {
-        let by_sum: Vec<Vector> = self
-            .sums
-            .iter()
-            .zip(by_normal)
-            .map(|(&sum, &g)| through_normalisation(sum, g))
-            .collect();
-        for (face, &m) in self.faces.iter().zip(&self.crosses) {
+    /// Adds the gradient by position that belongs to `by_normal`, the gradient by vertex normal,
+    /// which becomes the one by the sums of face normals.
+    pub fn backward(&self, by_normal: &mut [Vector], gradient: &mut [Vector]) {
+        for (&sum, g) in self.sums.iter().zip(&mut *by_normal) {
+            *g = through_normalisation(sum, *g);
+        }
+        let by_sum = by_normal;
+        for (face, &m) in self.faces.iter().zip(self.crosses) {
             let mut by_face = [0.0; 3];
             for &vertex in face {
                 for axis in 0..3 {
@@ -107,11 +118,16 @@ impl<'a> MeshNormals<'a> {
     }
 }
 
-/// Mean squared difference of vertex normals, gradient by the predicted positions.
-pub fn normal_loss(predicted: &MeshNormals, reference: &MeshNormals) -> Term {
-    let difference = super::squared_error(&predicted.normals, &reference.normals);
-    let mut term = Term::zero(predicted.positions.len());
+/// Mean squared difference of vertex normals, gradient by the predicted positions; `difference` is
+/// room for the gradient by the normals.
+pub fn normal_loss(
+    predicted: &MeshNormals,
+    reference: &MeshNormals,
+    difference: &mut Term,
+    term: &mut Term,
+) {
+    squared_error(predicted.normals, reference.normals, difference);
+    term.clear(predicted.positions.len());
     term.value = difference.value;
-    predicted.backward(&difference.gradient, &mut term.gradient);
-    term
+    predicted.backward(&mut difference.gradient, &mut term.gradient);
 }

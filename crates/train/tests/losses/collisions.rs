@@ -1,23 +1,26 @@
 //! What counts as a hit: δ, the reach, borders, the divisor; each threshold with
 //! its two neighbours.
 
+use drape_dataset::sample::StatePair;
 use drape_geometry::mesh::on_border;
-use drape_train::losses::collision::{CollisionConfig, CollisionMean, body_collision};
-use drape_train::losses::{LossConfig, Vector};
+use drape_train::losses::collision::{
+    CollisionConfig, CollisionMean, CollisionRoom, body_collision,
+};
+use drape_train::losses::{LossConfig, Term, Vector};
 
-use crate::{body, sheet, sheet_faces};
+use crate::{body, sheet, sheet_faces, term};
+
+/// Collisions with a sheet of 3 × 3 vertices.
+fn collision(config: &CollisionConfig, tested: &[Vector], sheet: &[StatePair]) -> Term {
+    let faces = sheet_faces(3, 0);
+    let (border, mut room) = (on_border(9, &faces), CollisionRoom::default());
+    term(|term| body_collision(config, tested, sheet, &faces, &border, &mut room, term))
+}
 
 /// Value of one vertex above or below the middle of a flat sheet of spacing 4.
 fn value(config: &CollisionConfig, vertex: Vector) -> f64 {
     let flat = body(&sheet(3, 4.0, |_, _| 0.0));
-    body_collision(
-        config,
-        &[vertex],
-        &flat,
-        &sheet_faces(3, 0),
-        &on_border(9, &sheet_faces(3, 0)),
-    )
-    .value
+    collision(config, &[vertex], &flat).value
 }
 
 #[test]
@@ -81,14 +84,7 @@ fn the_divisor_is_the_vertices_by_default_and_the_hits_as_released() {
             mean,
             ..CollisionConfig::default()
         };
-        body_collision(
-            &config,
-            &tested,
-            &flat,
-            &sheet_faces(3, 0),
-            &on_border(9, &sheet_faces(3, 0)),
-        )
-        .value
+        collision(&config, &tested, &flat).value
     };
     let (vertices, hits) = (of(CollisionMean::Vertices), of(CollisionMean::Hits));
     assert!(
@@ -105,13 +101,7 @@ fn without_hits_value_and_gradient_are_zero() {
         LossConfig::default().collision,
         LossConfig::released().collision,
     ] {
-        let term = body_collision(
-            &config,
-            &[[0.0, 0.0, 0.5]; 3],
-            &flat,
-            &sheet_faces(3, 0),
-            &on_border(9, &sheet_faces(3, 0)),
-        );
+        let term = collision(&config, &[[0.0, 0.0, 0.5]; 3], &flat);
         assert_eq!(term.value, 0.0);
         assert_eq!(term.gradient, [[0.0; 3]; 3]);
     }

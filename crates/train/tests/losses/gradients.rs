@@ -2,11 +2,11 @@
 //! error is 1e-12, rounding adds 1e-10; hits and nearest vertices do not change.
 
 use drape_geometry::mesh::on_border;
-use drape_train::losses::collision::{body_collision, layer_collision};
-use drape_train::losses::normal::{MeshNormals, normal_loss};
+use drape_train::losses::collision::{CollisionRoom, body_collision, layer_collision};
+use drape_train::losses::normal::{MeshNormals, NormalRoom, normal_loss};
 use drape_train::losses::{LossConfig, Term, Vector, squared_error};
 
-use crate::{body, outfit, sheet, sheet_faces};
+use crate::{body, outfit, sheet, sheet_faces, term};
 
 fn check(x: &[Vector], f: impl Fn(&[Vector]) -> Term) {
     let term = f(x);
@@ -44,19 +44,22 @@ fn wavy(x: f64, y: f64) -> f64 {
 fn position() {
     let x = sheet(4, 0.5, wavy);
     let target = sheet(4, 0.47, |x, y| 0.9 * wavy(y, x));
-    check(&x, |x| squared_error(x, &target));
+    check(&x, |x| term(|term| squared_error(x, &target, term)));
 }
 
 #[test]
 fn normals() {
     let (faces, x) = (sheet_faces(4, 0), sheet(4, 0.5, wavy));
     let target = sheet(4, 0.47, |x, y| 0.9 * wavy(y, x));
-    check(&x, |x| {
-        normal_loss(
-            &MeshNormals::new(x, &faces),
-            &MeshNormals::new(&target, &faces),
-        )
-    });
+    check(&x, |x| normal_term(x, &target, &faces));
+}
+
+fn normal_term(x: &[Vector], target: &[Vector], faces: &[[u32; 3]]) -> Term {
+    let mut rooms = [NormalRoom::default(), NormalRoom::default()];
+    let [room, true_room] = &mut rooms;
+    let normals = MeshNormals::new(x, faces, room);
+    let true_normals = MeshNormals::new(target, faces, true_room);
+    term(|term| normal_loss(&normals, &true_normals, &mut Term::default(), term))
 }
 
 #[test]
@@ -69,13 +72,18 @@ fn body_collision_in_both_presets() {
         LossConfig::released().collision,
     ] {
         check(&x, |x| {
-            body_collision(
-                &config,
-                x,
-                &body_rows,
-                &sheet_faces(7, 0),
-                &on_border(49, &sheet_faces(7, 0)),
-            )
+            let mut room = CollisionRoom::default();
+            term(|term| {
+                body_collision(
+                    &config,
+                    x,
+                    &body_rows,
+                    &sheet_faces(7, 0),
+                    &on_border(49, &sheet_faces(7, 0)),
+                    &mut room,
+                    term,
+                )
+            })
         });
     }
 }
@@ -90,10 +98,15 @@ fn layer_collision_moves_inner_positions_and_normals_too() {
         LossConfig::default().collision,
         LossConfig::released().collision,
     ] {
-        check(&x, |x| {
-            layer_collision(&config, &both, x, &MeshNormals::new(x, &faces))
-        });
-        let term = layer_collision(&config, &both, &x, &MeshNormals::new(&x, &faces));
+        let config = &config;
+        let of = |x: &[Vector]| {
+            let mut room = NormalRoom::default();
+            let normals = MeshNormals::new(x, &faces, &mut room);
+            let mut room = CollisionRoom::default();
+            term(|term| layer_collision(config, &both, x, &normals, &mut room, term))
+        };
+        check(&x, of);
+        let term = of(&x);
         // The term depends on differences only, so its gradients cancel.
         for axis in 0..3 {
             let sum: f64 = term.gradient.iter().map(|g| g[axis]).sum();
@@ -107,20 +120,14 @@ fn a_zero_area_face_passes_no_gradient() {
     let mut x = sheet(3, 0.5, wavy);
     let mut faces = sheet_faces(3, 0);
     let target = sheet(3, 0.47, |x, y| 0.9 * wavy(y, x));
-    let loss = |x: &[Vector], target: &[Vector], faces: &[[u32; 3]]| {
-        normal_loss(
-            &MeshNormals::new(x, faces),
-            &MeshNormals::new(target, faces),
-        )
-    };
-    let clean = loss(&x, &target, &faces).gradient;
+    let clean = normal_term(&x, &target, &faces).gradient;
     // A needle: three points on a line, two of them the sheet's own.
     let middle = |x: &[Vector]| [0, 1, 2].map(|axis| (x[0][axis] + x[1][axis]) / 2.0);
     x.push(middle(&x));
     let with_point = [&target[..], &[middle(&target)]].concat();
-    let before = loss(&x, &with_point, &faces);
+    let before = normal_term(&x, &with_point, &faces);
     faces.push([0, 9, 1]);
-    let after = loss(&x, &with_point, &faces);
+    let after = normal_term(&x, &with_point, &faces);
     assert_eq!(before.gradient[..9].len(), clean.len());
     for (a, b) in after
         .gradient

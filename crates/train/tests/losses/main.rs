@@ -14,7 +14,17 @@ use drape_dataset::patches::{Csr, Patches};
 use drape_dataset::registry::GarmentKind;
 use drape_dataset::sample::{Outfit, StatePair};
 use drape_geometry::mesh::on_border;
-use drape_train::losses::Vector;
+use drape_train::losses::{Term, Vector};
+
+/// A term computed in memory that another one has left.
+fn term(compute: impl FnOnce(&mut Term)) -> Term {
+    let mut term = Term {
+        value: 7.0,
+        gradient: vec![[f64::NAN; 3]; 99],
+    };
+    compute(&mut term);
+    term
+}
 
 /// Triangles of a sheet of `side × side` vertices, starting at vertex `first`, facing +z.
 fn sheet_faces(side: u32, first: u32) -> Vec<[u32; 3]> {

@@ -21,7 +21,9 @@ fn errors(frames: f64, shift: f32, drift: f32) -> Vec<f32> {
     (1..40)
         .map(|frame| {
             let (recorded, before) = ([reference(frame)], [reference(frame - 1)]);
-            let target = returning(frames, &recorded, &before, &state)[0];
+            let target = returning(frames, &recorded, &before, &state)
+                .next()
+                .unwrap();
             let a: Vec<f32> = (0..3)
                 .map(|axis| target[axis] - state[0][axis] - state[0][3 + axis])
                 .collect();
@@ -36,7 +38,8 @@ fn errors(frames: f64, shift: f32, drift: f32) -> Vec<f32> {
 fn one_frame_asks_for_the_recorded_position() {
     let state = [pair(&[5.0; 6], &[4.0; 6])];
     let recorded = [reference(3)];
-    let found = returning(1.0, &recorded, &[reference(2)], &state);
+    let before = [reference(2)];
+    let found: Vec<State> = returning(1.0, &recorded, &before, &state).collect();
     assert_eq!(found, recorded);
 }
 
@@ -45,7 +48,8 @@ fn a_state_that_did_not_stray_is_led_to_the_recorded_position() {
     let state = [pair(&reference(2), &reference(1))];
     let recorded = [reference(3)];
     for frames in [1.0, 2.5, 5.0, 100.0] {
-        let found = returning(frames, &recorded, &[reference(2)], &state);
+        let before = [reference(2)];
+        let found: Vec<State> = returning(frames, &recorded, &before, &state).collect();
         assert_eq!(found, recorded, "{frames} frames");
     }
 }
