@@ -7,6 +7,7 @@
 mod arrows;
 mod ci;
 mod program;
+mod setup;
 mod train;
 
 use std::{ffi::OsString, process::ExitCode};
@@ -50,8 +51,20 @@ enum Command {
     /// Measure how fast LayersNet predicts and trains on this machine
     #[command(disable_help_flag = true)]
     Bench(Passed),
+    /// Install what is optional: Blender, for `generate --engine blender`
+    Setup {
+        /// What to install
+        what: Optional,
+    },
     /// Run all checks, cheapest first; stops at the first that fails
     Ci,
+}
+
+/// Programs of others that ours can use.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Optional {
+    /// Blender as a Python package, in `.blender` (about 1 GB; needs Python 3.11)
+    Blender,
 }
 
 /// Arguments for the program that does the work.
@@ -80,6 +93,9 @@ fn main() -> ExitCode {
         Command::Inspect(passed) => program::run(Program::Inspect, &passed.args),
         Command::Import(passed) => program::run(Program::Import, &passed.args),
         Command::Bench(passed) => program::run(Program::Bench, &passed.args),
+        Command::Setup {
+            what: Optional::Blender,
+        } => setup::blender(),
         Command::Ci => ci::run(),
     };
     result.unwrap_or_else(|error| {

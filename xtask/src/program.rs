@@ -65,7 +65,8 @@ impl Program {
             Program::Generate => {
                 "cargo xtask generate: make a data set.\n\n\
                  Samples bodies, motions, outfits, materials and wind, simulates each sequence with the cloth\n\
-                 engine, and writes one file per sequence. The same seed makes the same bytes.\n\n\
+                 engine, and writes one file per sequence. The same seed makes the same bytes. With --engine\n\
+                 blender the same scenes are simulated by Blender's cloth (cargo xtask setup blender, once).\n\n\
                  All options go to drape-generate:\n"
             }
             Program::Rollout => {

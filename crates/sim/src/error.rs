@@ -62,6 +62,20 @@ pub enum SimError {
         /// The coordinates.
         found: [f32; 3],
     },
+    /// There is no Blender to simulate with.
+    #[error(
+        "no Blender: {reason}; get one with `cargo xtask setup blender` (once, about 1 GB), or let DRAPE_BLENDER_PYTHON name a Python that has bpy"
+    )]
+    NoBlender {
+        /// Where it was looked for.
+        reason: String,
+    },
+    /// Blender did not do what it was told.
+    #[error("Blender: {reason}")]
+    Blender {
+        /// What went wrong.
+        reason: String,
+    },
 }
 
 impl SimError {
@@ -69,6 +83,13 @@ impl SimError {
     pub fn fit(garment: impl Into<String>, reason: impl Into<String>) -> Self {
         Self::Fit {
             garment: garment.into(),
+            reason: reason.into(),
+        }
+    }
+
+    /// A [`SimError::Blender`].
+    pub(crate) fn blender(reason: impl Into<String>) -> Self {
+        Self::Blender {
             reason: reason.into(),
         }
     }

@@ -6,6 +6,7 @@
 
 mod cut_range;
 mod effects;
+mod in_blender;
 mod quality;
 mod ranges;
 mod recipe;
@@ -14,6 +15,7 @@ mod wind;
 
 pub use cut_range::CutRange;
 pub use effects::active_effects;
+pub use in_blender::simulate_in_blender;
 pub use quality::Quality;
 pub use ranges::{SceneRanges, Units};
 pub use recipe::{BodyGap, Recipe, RecipeGarment};

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use drape_dataset::registry::GarmentKind;
+use drape_sim::blender::BlenderSettings;
 use drape_sim::engine::EngineSettings;
 use drape_sim::motion::MotionFamily;
 use drape_sim::scene::{Recipe, SceneRanges, Units};
@@ -17,14 +18,21 @@ fn the_committed_configuration_lists_every_field_with_its_default() {
     let mut table = committed();
     let scene = table.remove("scene").unwrap();
     let engine = table.remove("engine").unwrap();
+    let blender = table.remove("blender").unwrap();
     let all_scene = toml::Value::try_from(SceneRanges::default()).unwrap();
     let all_engine = toml::Value::try_from(EngineSettings::default()).unwrap();
+    let all_blender = toml::Value::try_from(BlenderSettings::default()).unwrap();
+    assert_eq!(names(&blender), names(&all_blender));
     assert_eq!(names(&scene), names(&all_scene));
     assert_eq!(names(&engine), names(&all_engine));
     let scene: SceneRanges = scene.try_into().unwrap();
     let engine: EngineSettings = engine.try_into().unwrap();
     assert_eq!(scene, SceneRanges::default());
     assert_eq!(engine, EngineSettings::default());
+    assert_eq!(
+        blender.try_into::<BlenderSettings>().unwrap(),
+        BlenderSettings::default()
+    );
     scene.validate().unwrap();
     engine.validate().unwrap();
 }

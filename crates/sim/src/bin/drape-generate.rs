@@ -8,14 +8,15 @@ use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use clap::Parser;
+use clap::{Parser, ValueEnum};
 use drape_dataset::sequence::{Frame, Intersections, SequenceHeader};
 use drape_dataset::splits::{DatasetIndex, INDEX_FILE, Split};
 use drape_dataset::{SequenceReader, SequenceWriter};
 use drape_sim::SimError;
+use drape_sim::blender::{Blender, BlenderSettings};
 use drape_sim::engine::EngineSettings;
 use drape_sim::engine::profile::{self, Profile};
-use drape_sim::scene::{Progress, Quality, Recipe, SceneRanges, simulate};
+use drape_sim::scene::{Progress, Quality, Recipe, SceneRanges, simulate, simulate_in_blender};
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 use serde::Deserialize;
@@ -50,15 +51,26 @@ struct Arguments {
     /// Seed of everything random
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
+    /// What simulates: this program's engine, or Blender, which takes much longer and needs
+    /// `cargo xtask setup blender` once
+    #[arg(long, value_name = "NAME", value_enum, default_value_t = Simulator::Drape)]
+    engine: Simulator,
     /// Sequences simulated at the same time; 0 takes all processor cores
     #[arg(long, value_name = "N", default_value_t = 0)]
     threads: usize,
-    /// Print where the engine's time went, effect by effect
+    /// Print where the engine's time went, effect by effect; not with Blender
     #[arg(long)]
     profile: bool,
     /// Print the configuration that would be used, and stop
     #[arg(long)]
     print_config: bool,
+}
+
+/// What moves the garments.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Simulator {
+    Drape,
+    Blender,
 }
 
 /// Configuration of a data set.
@@ -80,6 +92,8 @@ struct Config {
     keep_share: f64,
     scene: SceneRanges,
     engine: EngineSettings,
+    /// For `--engine blender`.
+    blender: BlenderSettings,
 }
 
 impl Default for Config {
@@ -93,6 +107,7 @@ impl Default for Config {
             keep_share: 0.9,
             scene: SceneRanges::default(),
             engine: EngineSettings::default(),
+            blender: BlenderSettings::default(),
         }
     }
 }
@@ -108,11 +123,21 @@ fn main() -> ExitCode {
 }
 
 fn run(arguments: &Arguments) -> Result<ExitCode> {
+    ensure!(
+        !arguments.profile || arguments.engine == Simulator::Drape,
+        "--profile: expected --engine drape, whose effects are timed, found --engine blender; \
+         leave one of the two out"
+    );
     let config = resolve(arguments)?;
     if arguments.print_config {
         print!("{}", toml::to_string(&config)?);
         return Ok(ExitCode::SUCCESS);
     }
+    let blender = match arguments.engine {
+        Simulator::Drape => None,
+        Simulator::Blender => Some(Blender::find()?),
+    };
+    let blender = blender.as_ref();
     std::fs::create_dir_all(&arguments.out)
         .with_context(|| format!("cannot make folder {}", arguments.out.display()))?;
     static STOP: AtomicBool = AtomicBool::new(false);
@@ -135,7 +160,15 @@ fn run(arguments: &Arguments) -> Result<ExitCode> {
     let outcomes: Vec<Outcome> = pool.install(|| {
         jobs.par_iter()
             .map(|job| {
-                let outcome = make(job, &config, &arguments.out, &bar, &STOP, times.as_ref());
+                let outcome = make(
+                    job,
+                    &config,
+                    blender,
+                    &arguments.out,
+                    &bar,
+                    &STOP,
+                    times.as_ref(),
+                );
                 if let Outcome::Failed(reason) = &outcome {
                     bar.suspend(|| eprintln!("{}: {reason}", job.name));
                 }
@@ -200,6 +233,7 @@ fn resolve(arguments: &Arguments) -> Result<Config> {
     );
     config.scene.validate()?;
     config.engine.validate()?;
+    config.blender.validate()?;
     Ok(config)
 }
 
@@ -246,6 +280,7 @@ enum Outcome {
 fn make(
     job: &Job,
     config: &Config,
+    blender: Option<&Blender>,
     folder: &Path,
     bar: &ProgressBar,
     stop: &AtomicBool,
@@ -269,10 +304,15 @@ fn make(
             &config.engine,
         );
         recipe.name.clone_from(&job.name);
-        recipe
+        match blender {
+            None => recipe,
+            Some(_) => recipe.for_blender(&config.blender),
+        }
     };
+    let version = blender.map_or(env!("CARGO_PKG_VERSION"), Blender::version);
     for attempt in 0..config.attempts {
-        if let Some(outcome) = finished(&path, &recipe(attempt), needed, attempt + 1) {
+        let recipe = recipe(attempt);
+        if let Some(outcome) = finished(&path, &recipe, version, needed, attempt + 1) {
             bar.inc(all);
             return outcome;
         }
@@ -283,7 +323,7 @@ fn make(
         let mut counted = 0;
         let mut refused = None;
         let mut run = || {
-            simulate(&recipe(attempt), None, |progress| {
+            let each = |progress| {
                 counted += 1;
                 bar.inc(1);
                 refused = why_not(progress, lead, needed);
@@ -292,7 +332,12 @@ fn make(
                 } else {
                     ControlFlow::Continue(())
                 }
-            })
+            };
+            let recipe = recipe(attempt);
+            match blender {
+                None => simulate(&recipe, None, each),
+                Some(blender) => simulate_in_blender(&recipe, blender, each),
+            }
         };
         let result = match times {
             None => run(),
@@ -358,14 +403,20 @@ fn cut_dirty(header: &mut SequenceHeader, frames: &mut Vec<Frame>, asked: usize)
 }
 
 /// A whole file with this recipe, if there is one.
-fn finished(path: &Path, recipe: &Recipe, needed: usize, attempts: usize) -> Option<Outcome> {
+fn finished(
+    path: &Path,
+    recipe: &Recipe,
+    version: &str,
+    needed: usize,
+    attempts: usize,
+) -> Option<Outcome> {
     if !path.is_file() {
         return None;
     }
     // A damaged or different file is made anew.
     let reader = SequenceReader::open(path).ok()?;
     let same = reader.header().scene.recipe == recipe.to_json()
-        && reader.header().scene.engine_version == env!("CARGO_PKG_VERSION")
+        && reader.header().scene.engine_version == version
         && (needed..=recipe.frames).contains(&reader.frame_count());
     if !same {
         return None;

@@ -264,6 +264,7 @@ impl SceneRanges {
                 wind::sample(&mut rng, frames, self.wind_strength)
             },
             engine: engine.clone(),
+            blender: None,
         }
     }
 }

@@ -4,6 +4,7 @@ use drape_dataset::sequence::Material;
 use serde::{Deserialize, Serialize};
 
 use super::wind::WindPivot;
+use crate::blender::BlenderSettings;
 use crate::body::Shape;
 use crate::engine::EngineSettings;
 use crate::error::{Result, SimError};
@@ -46,6 +47,9 @@ pub struct Recipe {
     pub wind: Vec<WindPivot>,
     /// The engine's settings.
     pub engine: EngineSettings,
+    /// Settings of Blender, if it makes the sequence.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub blender: Option<BlenderSettings>,
 }
 
 fn is_false(x: &bool) -> bool {
@@ -86,6 +90,13 @@ struct MaterialNumbers {
 }
 
 impl Recipe {
+    /// The same scene for Blender, which has a gravity of its own.
+    pub fn for_blender(mut self, settings: &BlenderSettings) -> Self {
+        self.gravity = settings.acceleration(self.fps);
+        self.blender = Some(settings.clone());
+        self
+    }
+
     /// The recipe as it is stored in a sequence.
     pub fn to_json(&self) -> String {
         serde_json::to_string(self).expect("numbers and text always have a JSON form")

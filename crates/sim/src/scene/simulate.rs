@@ -22,7 +22,7 @@ use crate::garment::{METRES_PER_UV, Outfit, OutfitRequest, fitting_pose};
 use crate::motion::keep_clear;
 
 /// Scene units per metre.
-const SCALE: f32 = 10.0;
+pub(super) const SCALE: f32 = 10.0;
 
 /// How far a simulation is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,12 +44,80 @@ pub struct Progress {
 pub fn simulate(
     recipe: &Recipe,
     substeps: Option<u32>,
-    mut progress: impl FnMut(Progress) -> ControlFlow<()>,
+    progress: impl FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<(SequenceHeader, Vec<Frame>)> {
     let mut recipe = recipe.clone();
+    recipe.blender = None;
     if let Some(substeps) = substeps {
         recipe.engine.substeps = substeps;
     }
+    run(&recipe, progress, |stage, header| {
+        let physics = ScenePhysics {
+            scale: SCALE,
+            gravity: recipe.gravity,
+            body_friction: recipe.body_friction,
+            effects: header.scene.effects.iter().copied().collect(),
+        };
+        Engine::new(
+            &stage.outfit.garments,
+            &stage.outfit.waistbands,
+            &header.body.faces,
+            &stage.outfit.body,
+            &physics,
+            &recipe.engine,
+        )
+    })
+}
+
+/// What moves the garments of a scene on its body.
+pub(super) trait Mover {
+    /// Goes on to the next frame, in which the body is there.
+    fn advance(&mut self, body: &[[f32; 3]], wind: Wind, dt_s: f64) -> Result<()>;
+
+    /// Positions of each garment.
+    fn garments(&self) -> Vec<Vec<[f32; 3]>>;
+}
+
+impl Mover for Engine {
+    fn advance(&mut self, body: &[[f32; 3]], wind: Wind, dt_s: f64) -> Result<()> {
+        Self::advance(self, body, wind, dt_s).map(|_| ())
+    }
+
+    fn garments(&self) -> Vec<Vec<[f32; 3]>> {
+        Self::garments(self)
+    }
+}
+
+/// A dressed body and the way it will go.
+pub(super) struct Stage<'a> {
+    pub recipe: &'a Recipe,
+    pub outfit: &'a Outfit,
+    shaped: &'a ShapedBody<'a>,
+    poses: &'a [Pose],
+}
+
+impl Stage<'_> {
+    /// Body of every frame after the start, lead-in included.
+    pub fn bodies(&self) -> impl Iterator<Item = Vec<[f32; 3]>> {
+        self.poses.iter().map(|pose| self.shaped.pose(pose))
+    }
+
+    /// Wind of one of these frames; the lead-in is calm.
+    pub fn wind(&self, number: usize) -> Wind {
+        let lead = self.recipe.lead_in;
+        number
+            .checked_sub(lead.still + lead.ease)
+            .map_or_else(Wind::default, |frame| wind_at(&self.recipe.wind, frame))
+    }
+}
+
+/// Makes a recipe's scene, lets what `start` gives move the garments, and
+/// records it. `start` may say in the header what is different with it.
+pub(super) fn run<M: Mover>(
+    recipe: &Recipe,
+    mut progress: impl FnMut(Progress) -> ControlFlow<()>,
+    start: impl FnOnce(&Stage, &mut SequenceHeader) -> Result<M>,
+) -> Result<(SequenceHeader, Vec<Frame>)> {
     let body = Body::load()?;
     let shaped = body.shaped(&recipe.shape);
     let garments: Vec<_> = recipe
@@ -79,37 +147,30 @@ pub fn simulate(
         lead,
         recipe.frames.max(looked_at),
     )?;
-    let cleared = make_room(&recipe, &body, &shaped, &mut poses)?;
+    let cleared = make_room(recipe, &body, &shaped, &mut poses)?;
     poses.truncate(first + recipe.frames);
 
-    let mut header = header(&recipe, &body, &outfit);
+    let mut header = header(recipe, &body, &outfit);
     header.scene.warnings.extend(cleared);
-    let physics = ScenePhysics {
-        scale: SCALE,
-        gravity: recipe.gravity,
-        body_friction: recipe.body_friction,
-        effects: header.scene.effects.iter().copied().collect(),
+    let stage = Stage {
+        recipe,
+        outfit: &outfit,
+        shaped: &shaped,
+        poses: &poses,
     };
-    let mut engine = Engine::new(
-        &outfit.garments,
-        &outfit.waistbands,
-        body.faces(),
-        &outfit.body,
-        &physics,
-        &recipe.engine,
-    )?;
+    let mut mover = start(&stage, &mut header)?;
     let mut frames = Vec::with_capacity(recipe.frames);
     // The mesh has a few hits of its own at mouth and toes.
     let at_rest = count_within(&outfit.body, body.faces());
     let mut crossed_body = 0;
     for (number, pose) in poses.iter().enumerate() {
         let positions = shaped.pose(pose);
-        let recorded = number.checked_sub(first);
-        let wind = recorded.map_or_else(Wind::default, |frame| wind_at(&recipe.wind, frame));
-        engine.advance(&positions, wind, 1.0 / fps)?;
-        if recorded.is_some() {
+        let wind = stage.wind(number);
+        mover.advance(&positions, wind, 1.0 / fps)?;
+        if number >= first {
             crossed_body += u32::from(count_within(&positions, body.faces()) > at_rest);
-            frames.push(frame(&shaped, pose, positions, &engine, &header, wind)?);
+            let garments = mover.garments();
+            frames.push(frame(&shaped, pose, positions, garments, &header, wind)?);
         }
         let now = Progress {
             done: number + 1,
@@ -189,7 +250,7 @@ fn frame(
     shaped: &ShapedBody,
     pose: &Pose,
     body: Vec<[f32; 3]>,
-    engine: &Engine,
+    garments: Vec<Vec<[f32; 3]>>,
     header: &SequenceHeader,
     wind: Wind,
 ) -> Result<Frame> {
@@ -201,7 +262,7 @@ fn frame(
             translation: place.to_array().map(|value| value as f32),
             rotation: [w, x, y, z],
         },
-        garments: engine.garments(),
+        garments,
         wind,
         intersections: None,
     };
