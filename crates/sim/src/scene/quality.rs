@@ -256,19 +256,7 @@ mod tests {
         let cloth = square(16.55);
         let header = SequenceHeader {
             name: "square".into(),
-            scene: SceneMeta {
-                scale: 10.0,
-                fps: 30.0,
-                seed: 0,
-                engine: String::new(),
-                engine_version: String::new(),
-                effects: Vec::new(),
-                gravity: [0.0; 3],
-                body_friction: 0.0,
-                metres_per_uv: 1.0,
-                recipe: String::new(),
-                warnings: Vec::new(),
-            },
+            scene: SceneMeta::default(),
             body: BodyTopology {
                 rest: body.clone(),
                 faces: body_faces,
