@@ -161,9 +161,10 @@ impl Case {
             }
         };
         let (faces, body_faces) = (faces(&name("faces"))?, faces(&name("h_faces"))?);
+        let kinds = vec![GarmentKind::Dress; garment_offsets.len() - 1];
+        let vertices = of_vertex.rows();
         let outfit = Outfit {
-            kinds: vec![GarmentKind::Dress; garment_offsets.len() - 1],
-            on_border: on_border(of_vertex.rows(), &faces),
+            on_border: on_border(vertices, &faces),
             garment_offsets,
             faces,
             body_vertices,
@@ -176,6 +177,9 @@ impl Case {
             },
             attributes,
             patch_attributes: Csr::from_pairs(patches, patch_attributes),
+            supports: vec![None; kinds.len()],
+            rest: vec![[0.0; 3]; vertices],
+            kinds,
         };
         let table = inputs.values(&name("mean_std"))?;
         let mut statistics = ColumnStatistics {

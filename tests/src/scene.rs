@@ -91,6 +91,14 @@ fn tube_faces(rings: usize) -> (Vec<[u32; 3]>, Vec<[u32; 3]>) {
     (faces, uv_faces)
 }
 
+/// Where a vertex of a straight tube is.
+fn tube_point(vertex: usize, radius: f64, (rings, height): (usize, f64)) -> [f64; 3] {
+    let (ring, side) = ((vertex / AROUND) as f64, (vertex % AROUND) as f64);
+    let angle = TAU * side / AROUND as f64;
+    let z = height * ring / (rings - 1) as f64;
+    [radius * angle.cos(), radius * angle.sin(), z]
+}
+
 fn tube(name: &str, kind: GarmentKind, layer: u32, (rings, height): (usize, f64)) -> Garment {
     let (faces, uv_faces) = tube_faces(rings);
     let uv = (0..rings)
@@ -107,7 +115,12 @@ fn tube(name: &str, kind: GarmentKind, layer: u32, (rings, height): (usize, f64)
         name: name.into(),
         kind,
         layer,
-        rest: vec![[0.0; 3]; AROUND * rings],
+        rest: (0..AROUND * rings)
+            .map(|vertex| {
+                let radius = 1.0 + 0.15 * f64::from(layer);
+                tube_point(vertex, radius, (rings, height)).map(|x| x as f32)
+            })
+            .collect(),
         panel_of_face: vec![0; faces.len()],
         faces,
         uv,
@@ -206,7 +219,7 @@ impl Scene {
                 warnings: Vec::new(),
             },
             body: BodyTopology {
-                rest: Vec::new(),
+                rest: body.iter().map(|x| x.map(|x| x as f32)).collect(),
                 faces: if config.body {
                     body_faces(config.body_rings())
                 } else {

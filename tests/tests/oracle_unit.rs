@@ -406,6 +406,8 @@ fn losses_and_their_gradients() {
             patches: Patches::default(),
             attributes: Vec::new(),
             patch_attributes: Csr::default(),
+            supports: vec![None; 2],
+            rest: vec![[0.0; 3]; predicted.len()],
         };
         let (mut room, mut true_room) = (NormalRoom::default(), NormalRoom::default());
         let normals = MeshNormals::new(&predicted, &garment_faces, &mut room);

@@ -25,6 +25,7 @@ const TREND: Trend = Trend {
     carry: [0.5, 0.25, 0.125],
     air: 0.03125,
     gust: 0.0625,
+    hang: 0.015625,
 };
 
 struct Case {

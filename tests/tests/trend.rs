@@ -16,6 +16,7 @@ const TREND: Trend = Trend {
     carry: [0.5, 0.3, 0.04],
     air: 0.03,
     gust: 0.05,
+    hang: 0.002,
 };
 
 /// The number at a distance: linear between those that are given, constant beyond.
@@ -33,7 +34,14 @@ fn at(distance: f32, numbers: [f32; 3]) -> f32 {
 }
 
 /// The formula, written out for one vertex.
-fn by_hand(trend: &Trend, mass: f32, sight: f32, row: &StatePair, step: &Step) -> [f32; 3] {
+fn by_hand(
+    trend: &Trend,
+    mass: f32,
+    sight: f32,
+    [rigid, hanging]: [[f32; 3]; 2],
+    row: &StatePair,
+    step: &Step,
+) -> [f32; 3] {
     let distance = |body: &StatePair| -> f32 {
         let squared: f32 = (0..3).map(|axis| (body[axis] - row[axis]).powi(2)).sum();
         squared.sqrt()
@@ -50,9 +58,11 @@ fn by_hand(trend: &Trend, mass: f32, sight: f32, row: &StatePair, step: &Step) -
             let (skin, earlier) = (body[3 + axis], body[9 + axis]);
             at(d, trend.carry) * (skin - earlier) - at(d, trend.follow) * (v - skin)
         });
-        let still = at(d, trend.persistence) * (v - older) - at(d, trend.damping) * v;
+        let still =
+            at(d, trend.persistence) * (v - older) - at(d, trend.damping) * (v - rigid[axis]);
         let air = trend.air * step.wind[10] / mass;
-        still + skin - air * v + trend.gust * step.gust()[axis]
+        let hang = trend.hang * (hanging[axis] - row[axis]);
+        still + skin - air * v + trend.gust * step.gust()[axis] + hang
     })
 }
 
@@ -87,7 +97,16 @@ fn it_adds_the_formula_to_each_vertex() {
             // As the scene's materials have it.
             let mass = 0.3 + 0.1 * f32::from(layer);
             let row = &sample.state[vertex];
-            let expected = by_hand(&TREND, mass, config.patch_sight, row, step);
+            let rest = sample.outfit.rest[vertex];
+            let support = &sample.outfit.supports[usize::from(layer)];
+            assert_eq!(support.is_some(), body);
+            let support = support.as_ref().map(|support| {
+                let pose = support.pose(&step.body, &mut Vec::new()).unwrap();
+                [pose.velocity(rest), pose.hanging(rest)]
+            });
+            // Without a body: damped relative to the root, and nothing to hang from.
+            let support = support.unwrap_or([[0.0; 3], [row[0], row[1], row[2]]]);
+            let expected = by_hand(&TREND, mass, config.patch_sight, support, row, step);
             for axis in 0..3 {
                 let found = with[axis] - without[axis];
                 assert!((found - expected[axis]).abs() < 1e-5, "vertex {vertex}");
@@ -106,7 +125,7 @@ fn misfit(set: &TrainingSet, config: &TrainConfig, trend: &Trend) -> f64 {
         let (state, step) = (&sample.state, &sample.steps[0]);
         let graph = FrameGraph::new(&config.model, &sample.outfit, state, step).unwrap();
         let patches = state.len();
-        let added = graph.trend(trend, state, step);
+        let added = graph.trend(trend, &sample.outfit, state, step);
         for (vertex, reference) in sample.reference[0].iter().enumerate() {
             let own = added[patches + graph.own_patch[vertex] as usize];
             for axis in 0..3 {

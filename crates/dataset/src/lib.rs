@@ -71,6 +71,7 @@ pub mod samples;
 pub mod sequence;
 pub mod splits;
 pub mod statistics;
+pub mod support;
 
 pub use error::{DatasetError, Result};
 pub use file::{SequenceReader, SequenceWriter};

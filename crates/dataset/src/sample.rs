@@ -18,6 +18,7 @@ use crate::patches::{Csr, Patches};
 use crate::registry::GarmentKind;
 use crate::sequence::{Frame, SequenceHeader, Wind};
 use crate::statistics::{Statistics, StatisticsBuilder};
+use crate::support::Support;
 
 /// Position and velocity of one vertex, relative to the root: `[pos(3), vel(3)]`.
 pub type State = [f32; 6];
@@ -61,6 +62,10 @@ pub struct Outfit {
     pub attributes: Vec<[f32; 5]>,
     /// Attribute rows of each patch.
     pub patch_attributes: Csr,
+    /// What each garment hangs from.
+    pub supports: Vec<Option<Support>>,
+    /// Rest positions relative to the support's centre, zeros without one: `[vertex, 3]`.
+    pub rest: Vec<[f32; 3]>,
 }
 
 impl Outfit {
@@ -113,7 +118,18 @@ impl Outfit {
                 .map(|(patch, vertex)| (patch, attribute_of_vertex[vertex as usize]))
                 .collect(),
         );
+        let supports = Support::of_outfit(header);
+        let rest = header.garments.iter().zip(&supports);
+        let rest = rest.flat_map(|(garment, support)| {
+            let points = garment.rest.iter();
+            points.map(move |x| match support {
+                Some(Support { centre, .. }) => [0, 1, 2].map(|axis| x[axis] - centre[axis]),
+                None => [0.0; 3],
+            })
+        });
         Ok(Self {
+            rest: rest.collect(),
+            supports,
             garment_offsets,
             kinds: header.garments.iter().map(|garment| garment.kind).collect(),
             on_border: on_border(attribute_of_vertex.len(), &faces),

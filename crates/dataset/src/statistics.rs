@@ -89,19 +89,22 @@ impl Moments {
 }
 
 /// What a vertex's next acceleration owes to its own motion, on average over a training set:
-/// `persistence · a − damping · v − follow · (v − v_skin) + carry · a_skin − air · w/m · v + gust · Δw`.
+/// `persistence · a − damping · (v − v_rigid) − follow · (v − v_skin) + carry · a_skin − air · w/m · v
+/// + gust · Δw + hang · (x_hanging − x)`.
 ///
-/// v and a are velocity and last acceleration relative to the root, v_skin the coming velocity of
-/// the nearest body vertex and a_skin its change (both absent where no body vertex is in sight), w
-/// the coming wind's strength/400, m the vertex mass, Δw the coming change of the wind (direction
-/// times strength/400). The first four depend on the distance to that body vertex: cloth on the
-/// skin rubs, cloth that hangs free swings on. They are given at three distances ([`Trend::BANDS`])
-/// and linear between these. All zero: none.
+/// x, v and a are position, velocity and last acceleration relative to the root, v_skin the coming
+/// velocity of the nearest body vertex and a_skin its change (both absent where no body vertex is in
+/// sight), w the coming wind's strength/400, m the vertex mass, Δw the coming change of the wind
+/// (direction times strength/400). v_rigid is the coming velocity of the vertex if the garment were
+/// rigid on what it hangs from, x_hanging where it would hang ([`crate::support`]; without a support
+/// v_rigid = 0 and the last term is absent). The first four numbers depend on the distance to the
+/// nearest body vertex: cloth on the skin rubs, cloth that hangs free swings on. They are given at
+/// three distances ([`Trend::BANDS`]) and linear between these. All zero: none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Trend {
     /// Share of the last acceleration that stays.
     pub persistence: [f32; 3],
-    /// Share of the velocity that goes, per frame.
+    /// Share of the velocity relative to what the garment hangs from that goes, per frame.
     pub damping: [f32; 3],
     /// Share of the velocity along the skin that goes, per frame.
     pub follow: [f32; 3],
@@ -111,6 +114,8 @@ pub struct Trend {
     pub air: f32,
     /// Acceleration by a gust of strength 400, units/frame².
     pub gust: f32,
+    /// Share of the way to where the point hangs when all is still, per frame².
+    pub hang: f32,
 }
 
 /// What a [`Trend`] reads of a point, in units and frames.
@@ -126,20 +131,23 @@ pub struct Motion {
     pub air: f32,
     /// Coming change of the wind.
     pub gust: [f32; 3],
+    /// Coming velocity of the point if it were rigid on what the garment hangs from, and the way to
+    /// where it hangs when all is still; zeros without a support.
+    pub support: [[f32; 3]; 2],
 }
 
 impl Trend {
     /// Distances to the body in units at which the numbers are given; nearer and farther they stay.
     pub const BANDS: [f32; 3] = [0.2, 0.5, 2.0];
     /// Number of terms.
-    pub const TERMS: usize = 14;
+    pub const TERMS: usize = 15;
 
-    /// All numbers: persistence, damping, follow and carry by distance, air, gust.
+    /// All numbers: persistence, damping, follow and carry by distance, air, gust, hang.
     pub fn weights(&self) -> [f32; Self::TERMS] {
         let bands = [self.persistence, self.damping, self.follow, self.carry];
-        let mut weights = [self.gust; Self::TERMS];
+        let mut weights = [0.0; Self::TERMS];
         weights[..12].copy_from_slice(bands.as_flattened());
-        weights[12] = self.air;
+        weights[12..].copy_from_slice(&[self.air, self.gust, self.hang]);
         weights
     }
 
@@ -153,6 +161,7 @@ impl Trend {
             carry: band(9),
             air: weights[12],
             gust: weights[13],
+            hang: weights[14],
         }
     }
 
@@ -165,10 +174,11 @@ impl Trend {
             }
             None => (f32::INFINITY, [0.0; 3], [0.0; 3]),
         };
+        let [rigid, way] = motion.support;
         let mut terms = [[0.0; 3]; Self::TERMS];
         let by_distance = [
             motion.acceleration,
-            motion.velocity.map(|v| -v),
+            [0, 1, 2].map(|axis| rigid[axis] - motion.velocity[axis]),
             along,
             change,
         ];
@@ -179,6 +189,7 @@ impl Trend {
         }
         terms[12] = motion.velocity.map(|v| -motion.air * v);
         terms[13] = motion.gust;
+        terms[14] = way;
         terms
     }
 

@@ -50,7 +50,7 @@ impl Predictor {
             Self::Trend(config) => config,
         };
         graph.derive(config, outfit, state, step)?;
-        graph.trend_again(&statistics.trend, state, step, trend);
+        graph.trend_again(&statistics.trend, outfit, state, step, trend);
         let (vertices, patches) = trend.split_at(state.len());
         let whole = vertices.iter().zip(&graph.own_patch).map(|(own, &patch)| {
             let patch = patches[patch as usize];

@@ -15,6 +15,7 @@ use std::sync::Arc;
 use drape_dataset::patches::{Csr, Patches};
 use drape_dataset::sample::{Outfit, StatePair, Step};
 use drape_dataset::statistics::{Motion, Trend};
+use drape_dataset::support::SupportPose;
 use drape_geometry::grid::Grid;
 use drape_geometry::normals::vertex_normals_again;
 use rayon::prelude::*;
@@ -88,6 +89,12 @@ pub struct FrameGraph {
     pub own_patch: Vec<u32>,
     /// Vertex mass of each patch's garment.
     pub patch_masses: Vec<f32>,
+    /// Garment of each patch.
+    patch_garments: Vec<u32>,
+    /// Mean rest position of each patch's vertices relative to its garment's support.
+    patch_rests: Vec<[f32; 3]>,
+    /// What each garment hangs from, if there is a trend.
+    supports: Vec<Option<SupportPose>>,
     room: Room,
 }
 
@@ -175,6 +182,7 @@ struct Room {
     vertex_nearest: Vec<Option<u32>>,
     row_of: Vec<u32>,
     kept: Vec<[Option<u32>; PATCHES_PER_VERTEX]>,
+    supporting: Vec<[f32; 3]>,
 }
 
 fn position(state: &StatePair) -> [f32; 3] {
@@ -317,6 +325,7 @@ impl FrameGraph {
             vertex_nearest,
             row_of,
             kept,
+            supporting,
         } = &mut self.room;
         refill(&mut self.patch_states, patch_means(&patches.members, state));
         refill(centres, self.patch_states.iter().map(position));
@@ -438,6 +447,18 @@ impl FrameGraph {
         }
 
         refill(&mut self.patch_masses, (0..count).map(|p| outfit.mass(p)));
+        let rests = patch_means(&patches.members, &outfit.rest);
+        refill(&mut self.patch_rests, rests);
+        let starts = &outfit.garment_offsets[1..outfit.garments()];
+        let garment = |first: u32| starts.partition_point(|&start| start <= first as usize);
+        let firsts = patches.members.iter().map(|members| members[0]);
+        let garments = firsts.map(|first| garment(first) as u32);
+        refill(&mut self.patch_garments, garments);
+        let poses = outfit.supports.iter().map(|support| match support {
+            Some(support) if config.trend => support.pose(&step.body, supporting),
+            _ => None,
+        });
+        refill(&mut self.supports, poses);
         let own_patch = &mut self.own_patch;
         refill(own_patch, patches.of_vertex.iter().map(|all| all[0]));
         each(kept, state.len(), |vertex, candidates| {
@@ -480,14 +501,28 @@ impl FrameGraph {
 
 impl FrameGraph {
     /// What a [`Trend`] reads of a vertex.
-    pub fn vertex_motion(&self, vertex: usize, state: &StatePair, step: &Step) -> Motion {
-        let patch = self.own_patch[vertex] as usize;
-        self.motion(patch, &self.vertex_anchors[vertex], state, step)
+    pub fn vertex_motion(
+        &self,
+        outfit: &Outfit,
+        vertex: usize,
+        state: &StatePair,
+        step: &Step,
+    ) -> Motion {
+        let (patch, rest) = (self.own_patch[vertex] as usize, outfit.rest[vertex]);
+        self.motion(patch, rest, &self.vertex_anchors[vertex], state, step)
     }
 
-    fn motion(&self, patch: usize, anchor: &Anchor, state: &StatePair, step: &Step) -> Motion {
+    fn motion(
+        &self,
+        patch: usize,
+        rest: [f32; 3],
+        anchor: &Anchor,
+        state: &StatePair,
+        step: &Step,
+    ) -> Motion {
         let velocity = |state: &StatePair| [state[3], state[4], state[5]];
         let change = |state: &StatePair| [0, 1, 2].map(|axis| state[3 + axis] - state[9 + axis]);
+        let support = self.supports[self.patch_garments[patch] as usize];
         Motion {
             velocity: velocity(state),
             acceleration: change(state),
@@ -497,14 +532,25 @@ impl FrameGraph {
             }),
             air: step.wind_strength() / self.patch_masses[patch].max(LEAST_MASS),
             gust: step.gust(),
+            support: support.map_or([[0.0; 3]; 2], |support| {
+                let hanging = support.hanging(rest);
+                let way = [0, 1, 2].map(|axis| hanging[axis] - state[axis]);
+                [support.velocity(rest), way]
+            }),
         }
     }
 
     /// What a trend adds to the accelerations: of each vertex relative to its own patch, then of
     /// each patch, `[N + P]` in units/frame².
-    pub fn trend(&self, trend: &Trend, state: &[StatePair], step: &Step) -> Vec<[f32; 3]> {
+    pub fn trend(
+        &self,
+        trend: &Trend,
+        outfit: &Outfit,
+        state: &[StatePair],
+        step: &Step,
+    ) -> Vec<[f32; 3]> {
         let mut all = Vec::new();
-        self.trend_again(trend, state, step, &mut all);
+        self.trend_again(trend, outfit, state, step, &mut all);
         all
     }
 
@@ -512,6 +558,7 @@ impl FrameGraph {
     pub fn trend_again(
         &self,
         trend: &Trend,
+        outfit: &Outfit,
         state: &[StatePair],
         step: &Step,
         all: &mut Vec<[f32; 3]>,
@@ -525,10 +572,12 @@ impl FrameGraph {
         }
         for (patch, to) in patches.iter_mut().enumerate() {
             let (state, anchor) = (&self.patch_states[patch], &self.patch_anchors[patch]);
-            *to = trend.acceleration(&self.motion(patch, anchor, state, step));
+            let rest = self.patch_rests[patch];
+            *to = trend.acceleration(&self.motion(patch, rest, anchor, state, step));
         }
         for (vertex, to) in vertices.iter_mut().enumerate() {
-            let whole = trend.acceleration(&self.vertex_motion(vertex, &state[vertex], step));
+            let motion = self.vertex_motion(outfit, vertex, &state[vertex], step);
+            let whole = trend.acceleration(&motion);
             let own = patches[self.own_patch[vertex] as usize];
             *to = [0, 1, 2].map(|axis| whole[axis] - own[axis]);
         }

@@ -153,7 +153,7 @@ impl<T: Keep> Pass<T> {
         drop(stack);
         seconds.blocks = lap();
         self.decode(net, state, step)?;
-        self.integrate(net, statistics, state, step);
+        self.integrate(net, outfit, statistics, state, step);
         seconds.decoder = lap();
         Ok(seconds)
     }
@@ -285,6 +285,7 @@ impl<T: Keep> Pass<T> {
     fn integrate(
         &mut self,
         net: &LayersNet,
+        outfit: &Outfit,
         statistics: &ColumnStatistics,
         state: &[StatePair],
         step: &Step,
@@ -296,7 +297,7 @@ impl<T: Keep> Pass<T> {
         };
         let mean = [0, 1, 2].map(|axis| statistics.mean[columns + axis]);
         let std = [0, 1, 2].map(|axis| statistics.std[columns + axis]);
-        graph.trend_again(&statistics.trend, state, step, &mut self.trend);
+        graph.trend_again(&statistics.trend, outfit, state, step, &mut self.trend);
         let anchors = graph.vertex_anchors.iter().chain(&graph.patch_anchors);
         let back = anchors
             .zip(&self.trend)

@@ -130,7 +130,7 @@ pub fn forward(
     };
     let anchors = graph.vertex_anchors.iter().chain(&graph.patch_anchors);
     let frames = weights.matrices(anchors.map(|anchor| anchor.frame).collect())?;
-    let mut offsets = graph.trend(&statistics.trend, state, step);
+    let mut offsets = graph.trend(&statistics.trend, outfit, state, step);
     for offset in &mut offsets {
         *offset = [0, 1, 2].map(|axis| statistics.mean[columns + axis] + offset[axis]);
     }

@@ -34,16 +34,15 @@ pub struct TrainConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Schedule {
-    /// Epochs. Default 6.
+    /// Epochs. Default 12.
     pub epochs: usize,
-    /// Draws of one epoch. Default 200: with 420 and ten epochs the default data's held-out error is
-    /// 1 % lower overall and a tenth higher on skirts (`experiments/LOG.md`).
+    /// Draws of one epoch. Default 200.
     pub samples_per_epoch: usize,
     /// Samples whose gradients are averaged for one update. Default 4.
     pub batch: usize,
     /// Adam's rate at the start. Default 1e-3.
     pub learning_rate: f64,
-    /// The rate is halved each time this many epochs have passed. Default 2.
+    /// The rate is halved each time this many epochs have passed. Default 4.
     pub halve_every_epochs: usize,
     /// First epochs without collision losses (warm-up). Default 1.
     pub warm_up_epochs: usize,
@@ -60,11 +59,11 @@ pub struct Schedule {
 impl Default for Schedule {
     fn default() -> Self {
         Self {
-            epochs: 6,
+            epochs: 12,
             samples_per_epoch: 200,
             batch: 4,
             learning_rate: 1e-3,
-            halve_every_epochs: 2,
+            halve_every_epochs: 4,
             warm_up_epochs: 1,
             max_steps_without_gradient: 9,
             sway: 0.03,

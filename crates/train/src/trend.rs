@@ -48,7 +48,7 @@ pub fn fit_trend(set: &TrainingSet, config: &TrainConfig) -> Result<Trend> {
             let garments = sample.outfit.garment_offsets.windows(2);
             for (ends, factor) in garments.zip(factors) {
                 for vertex in ends[0]..ends[1] {
-                    let motion = graph.vertex_motion(vertex, &state[vertex], step);
+                    let motion = graph.vertex_motion(&sample.outfit, vertex, &state[vertex], step);
                     let terms = Trend::terms(&motion);
                     for axis in 0..3 {
                         let wanted = truth[vertex][axis] - held[vertex][axis];

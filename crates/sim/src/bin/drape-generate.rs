@@ -100,8 +100,8 @@ impl Default for Config {
     fn default() -> Self {
         Self {
             seed: 1,
-            train_sequences: 36,
-            test_sequences: 16,
+            train_sequences: 72,
+            test_sequences: 32,
             frames: 48,
             attempts: 4,
             keep_share: 0.9,

@@ -73,5 +73,7 @@ fn outfit(inner: usize, outer: usize, faces: Vec<[u32; 3]>) -> Outfit {
         patches: Patches::default(),
         attributes: Vec::new(),
         patch_attributes: Csr::default(),
+        supports: vec![None; 2],
+        rest: vec![[0.0; 3]; inner + outer],
     }
 }
