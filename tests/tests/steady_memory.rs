@@ -17,7 +17,7 @@ use drape_dataset::sample::State;
 use drape_eval::layersnet::LayersNetMethod;
 use drape_eval::method::Method;
 use drape_eval::task::Clip;
-use drape_model::{LayersNet, ModelConfig, Parameters, patch_means};
+use drape_model::{LayersNet, ModelConfig, Parameters};
 use drape_tests::scene::{PATCH_SIZE_M, Scene, SceneConfig};
 use drape_train::losses::terms::Terms;
 use drape_train::losses::{LossConfig, LossValues, Vector, position};
@@ -329,7 +329,7 @@ fn losses_of(length: usize, terms: &mut Terms) -> (LossValues, [Vec<Vector>; 2])
     let rows = terms.reference.iter().enumerate();
     let rows = rows.map(|(vertex, row)| squeezed(row, if vertex < outer { 0.8 } else { 0.5 }));
     terms.predicted = rows.collect();
-    let means = patch_means(&sample.outfit.patches.members, &terms.reference);
+    let means = sample.outfit.patches.means(&terms.reference);
     terms.predicted_patches = means.map(|row| squeezed(&row, 0.7)).collect();
     let config = LossConfig::default();
     let values = terms.evaluate(&config, &sample.outfit, &sample.steps[0], true);

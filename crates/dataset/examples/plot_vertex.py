@@ -43,6 +43,13 @@ def fields(message):
             at += {1: 8, 5: 4}[kind]
 
 
+def chosen(what, items, number):
+    """An item by a number that a person gave; numbers from the end are not meant."""
+    if not 0 <= number < len(items):
+        sys.exit(f"{what} {number}: expected 0 to {len(items) - 1}")
+    return items[number]
+
+
 def path_of(file, garment, vertex):
     """Positions of a vertex, [frame, 3]."""
     positions = []
@@ -51,8 +58,8 @@ def path_of(file, garment, vertex):
         reader = make_reader(stream, validate_crcs=True)
         for _, _, message in reader.iter_messages(topics=["/drape/frame"]):
             garments = [content for number, content in fields(message.data) if number == GARMENTS]
-            rows = np.frombuffer(garments[garment], "<f4").reshape(-1, 3)
-            positions.append(rows[vertex])
+            rows = np.frombuffer(chosen("garment", garments, garment), "<f4").reshape(-1, 3)
+            positions.append(chosen("vertex", rows, vertex))
     if not positions:
         sys.exit(f"{file}: no messages on /drape/frame (a quantised file has other ones)")
     return np.array(positions)

@@ -23,7 +23,8 @@
 //!   seed alone. A checkpoint keeps `order.progress()`.
 //! - A [`sample::Sample`] has the start state relative to the body's root, what drives
 //!   each step (body, wind, gravity) and the reference after it; [`sample::Outfit`] has
-//!   faces, patches, their neighbours and their material attributes.
+//!   faces, patches, their neighbours and their material attributes;
+//!   [`world_edges::WorldEdges`] is who else is near whom at one instant.
 //!
 //! More examples: `read_frames`, `copy_for_viewing`, `save_whole_frames`,
 //! `go_on_drawing`, `d_layers_to_samples`; and `plot_vertex.py`, which reads a file with
@@ -49,6 +50,7 @@
 //! | import Blender cloth exports | [`import`] (feature `npz`), program `drape-import` (feature `cli`) for both |
 //! | count intersections of a frame | [`intersections`] |
 //! | cut garments into patches | [`patches`] |
+//! | know which patches see each other, or the body, across a gap | [`world_edges`] |
 //! | draw training samples, shuffled, and go on later | [`samples`], [`order`] |
 //! | know what a sample holds, and how it is normalised | [`sample`], [`statistics`] |
 //!
@@ -72,6 +74,7 @@ pub mod sequence;
 pub mod splits;
 pub mod statistics;
 pub mod support;
+pub mod world_edges;
 
 pub use error::{DatasetError, Result};
 pub use file::{SequenceReader, SequenceWriter};

@@ -5,7 +5,7 @@
 //! refused with the line it stands in: missing UVs that were invented train silently
 //! wrong. What can be one, but may not be meant so, is told in
 //! [`GarmentMesh::notes`]: polygons, which are cut into triangles, edges that are not a
-//! manifold's, vertices in one place, pieces, and a guess at unit and up axis. Normals,
+//! manifold's, faces without area in the UV map, vertices in one place, pieces, and a guess at unit and up axis. Normals,
 //! groups, smoothing and materials are read over.
 //!
 //! `tobj` reads the mesh. What it would pass over in silence is checked line by
@@ -59,8 +59,9 @@ impl GarmentMesh {
     /// lines and points; no faces at all.
     pub fn read(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
-        let text = fs::read_to_string(path).map_err(DatasetError::io("read", path))?;
-        Self::parse(&text).map_err(|error| error.in_file(path))
+        let bytes = fs::read(path).map_err(DatasetError::io("read", path))?;
+        // Names and comments may be in any encoding; a statement with such letters is refused.
+        Self::parse(&String::from_utf8_lossy(&bytes)).map_err(|error| error.in_file(path))
     }
 
     /// Like [`read`](Self::read), from text.
@@ -71,6 +72,8 @@ impl GarmentMesh {
         let mut plain = String::new();
         // Line of each vertex, UV and face, to name it when a later check fails.
         let (mut vertex_line, mut uv_line, mut face_line) = (Vec::new(), Vec::new(), Vec::new());
+        // Some programs begin text with a mark of its encoding.
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         for (number, line) in (1..).zip(text.lines()) {
             let at = |error: DatasetError| error.at(&format!("line {number}"));
             let mut words = line.split_whitespace();

@@ -4,6 +4,8 @@
 //! An epoch's order is a function of the seed and the epoch's number alone (a named
 //! random stream each), so resuming needs no state but two numbers.
 
+use std::ops::Range;
+
 use rand::seq::SliceRandom;
 use serde::{Deserialize, Serialize};
 
@@ -44,23 +46,17 @@ pub struct Order {
 }
 
 impl Order {
-    /// All places of sequences with these numbers of frames from which `steps` steps
-    /// (at least one) can be made.
+    /// All places of sequences with these numbers of frames from which `steps` steps can
+    /// be made.
     ///
     /// # Errors
-    /// A sequence that is too short, by its number.
+    /// No steps, no sequences, or a sequence that is too short, by its number.
     pub fn new(frame_counts: &[usize], steps: usize, seed: u64) -> Result<Self> {
-        let needed = FIRST_START + steps.max(1) + 1;
         let mut places = Vec::new();
         for (sequence, &frames) in frame_counts.iter().enumerate() {
-            if frames < needed {
-                let expected = format!("at least {needed} frames for samples of {steps} steps");
-                let place = format!("sequence {sequence}");
-                return Err(DatasetError::invalid(place, expected, frames.to_string()));
-            }
-            places.extend(
-                (FIRST_START..=frames - 1 - steps.max(1)).map(|frame| Place { sequence, frame }),
-            );
+            let starts = starts(frames, steps);
+            let starts = starts.map_err(|error| error.at(&format!("sequence {sequence}")))?;
+            places.extend(starts.map(|frame| Place { sequence, frame }));
         }
         if places.is_empty() {
             return Err(DatasetError::invalid("sequences", "at least one", "none"));
@@ -106,6 +102,23 @@ impl Order {
         self.shuffled.clone_from(&self.places);
         self.shuffled.shuffle(&mut stream(self.seed, &name));
     }
+}
+
+/// Frames of a sequence from which `steps` steps can be made.
+pub(crate) fn starts(frames: usize, steps: usize) -> Result<Range<usize>> {
+    if steps == 0 {
+        return Err(DatasetError::invalid("steps", "at least 1", "0"));
+    }
+    let needed = FIRST_START.saturating_add(steps).saturating_add(1);
+    if frames < needed {
+        let expected = format!("at least {needed} for samples of {steps} steps");
+        return Err(DatasetError::invalid(
+            "frames",
+            expected,
+            frames.to_string(),
+        ));
+    }
+    Ok(FIRST_START..frames - steps)
 }
 
 impl Iterator for Order {

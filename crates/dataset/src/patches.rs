@@ -11,6 +11,9 @@
 use crate::error::DatasetError;
 use crate::sequence::Garment;
 
+/// Keeps the mean of no members finite; part of the bits of a mean, as in the published program.
+const EPSILON: f32 = 1e-7;
+
 /// Lists of indices by row, stored back to back.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Csr {
@@ -36,6 +39,22 @@ impl Csr {
             offsets,
             items: pairs.into_iter().map(|(_, item)| item).collect(),
         }
+    }
+
+    /// Takes all rows away and keeps the memory.
+    pub fn clear(&mut self) {
+        self.offsets.clear();
+        self.offsets.push(0);
+        self.items.clear();
+    }
+
+    /// Adds a row of items behind the others.
+    pub fn push_row(&mut self, items: impl IntoIterator<Item = u32>) {
+        if self.offsets.is_empty() {
+            self.offsets.push(0);
+        }
+        self.items.extend(items);
+        self.offsets.push(self.items.len() as u32);
     }
 
     /// Number of rows.
@@ -187,6 +206,20 @@ impl Patches {
             membership,
             &edges,
         ))
+    }
+
+    /// Mean of the members' rows, by patch: `[vertex, N]` to `[patch, N]`. Of states, a
+    /// patch's own state; its first three columns are the patch's centre.
+    pub fn means<const N: usize>(&self, rows: &[[f32; N]]) -> impl Iterator<Item = [f32; N]> {
+        self.members.iter().map(|vertices| {
+            let mut sum = [0f32; N];
+            for &vertex in vertices {
+                for (sum, value) in sum.iter_mut().zip(&rows[vertex as usize]) {
+                    *sum += value;
+                }
+            }
+            sum.map(|value| value / (vertices.len() as f32 + EPSILON))
+        })
     }
 
     /// Number of patches.

@@ -12,7 +12,7 @@ use std::collections::BTreeSet;
 use std::fs;
 
 use drape_dataset::SequenceReader;
-use drape_dataset::order::{Order, Progress};
+use drape_dataset::order::{FIRST_START, Order, Progress};
 use drape_dataset::samples::{SampleOptions, Samples, read_states, statistics_of};
 use drape_dataset::sequence::Frame;
 use drape_dataset::splits::{DatasetIndex, Split};
@@ -85,6 +85,23 @@ fn sequences_that_are_too_short_are_named() {
     );
     assert!(Order::new(&[6], 3, 0).is_ok());
     assert!(Order::new(&[], 1, 0).is_err());
+    let message = Order::new(&[9], 0, 0).unwrap_err().to_string();
+    assert!(message.contains("steps: expected at least 1"), "{message}");
+    // Behind files, by their names.
+    let folder = TempDir::new().unwrap();
+    let options = SampleOptions {
+        steps: 3,
+        patch_size_m: 0.4,
+        seed: 0,
+    };
+    let refused = Samples::open(&dataset(&folder), Split::Train, options);
+    let message = refused.err().unwrap().to_string();
+    assert!(
+        message.contains("s0.mcap")
+            && message.contains("at least 6")
+            && message.contains("found 5"),
+        "{message}"
+    );
 }
 
 /// Frames far from the origin, so that sums of squares would lose all digits.
@@ -125,8 +142,8 @@ fn statistics_of_one_pass_are_those_of_two_passes_in_f64() {
     let mut rows: Vec<[f64; 9]> = Vec::new();
     for entry in index.sequences() {
         let reader = index.open(entry).unwrap();
-        merged = merged.merge(statistics_of(&reader).unwrap());
-        let states = read_states(&reader, 0..reader.frame_count()).unwrap();
+        merged = merged.merge(statistics_of(&reader, FIRST_START).unwrap());
+        let states = read_states(&reader, 0..reader.frame_count(), 0.0).unwrap();
         for two in states[1..].windows(2) {
             let now = two[1].garments.iter().chain(&two[1].body);
             for (now, old) in now.zip(two[0].garments.iter().chain(&two[0].body)) {
@@ -191,7 +208,7 @@ fn samples_come_in_the_orders_places_and_resume() {
     let all: Vec<_> = open().take(20).map(Result::unwrap).collect();
     for (place, sample) in order.zip(&all) {
         let reader = SequenceReader::open(folder.path().join(format!("s{}.mcap", place.sequence)));
-        let states = read_states(&reader.unwrap(), place.frame..place.frame + 3).unwrap();
+        let states = read_states(&reader.unwrap(), place.frame..place.frame + 3, 0.0).unwrap();
         assert_eq!(sample.steps.len(), 2);
         for (state, vertex) in sample.state.iter().zip(&states[0].garments) {
             assert_eq!(state[..6], vertex[..]);
@@ -212,6 +229,36 @@ fn samples_come_in_the_orders_places_and_resume() {
         Samples::open(&index, Split::Test, options).is_err(),
         "no such split"
     );
-    let statistics = *open().statistics();
-    assert_eq!(*open().with_statistics(statistics).statistics(), statistics);
+}
+
+#[test]
+fn held_out_samples_are_normalised_by_the_training_split() {
+    let folder = TempDir::new().unwrap();
+    let mut index = dataset(&folder);
+    let options = SampleOptions {
+        patch_size_m: 0.4,
+        ..SampleOptions::default()
+    };
+    let of = |index: &DatasetIndex, split| {
+        let samples = Samples::open(index, split, options).unwrap();
+        *samples.statistics()
+    };
+    let training = of(&index, Split::Train);
+    let bytes = cases::written(&cases::two_layers(), &frames(9, 8));
+    fs::write(folder.path().join("held.mcap"), bytes).unwrap();
+    index.add("held.mcap", Split::Test).unwrap();
+    assert_eq!(of(&index, Split::Train), training);
+    assert_eq!(of(&index, Split::Test), training);
+    let held = SequenceReader::open(folder.path().join("held.mcap")).unwrap();
+    let own = statistics_of(&held, FIRST_START).unwrap().finish();
+    assert_ne!(own, training, "the test can fail");
+    assert!(statistics_of(&held, FIRST_START - 1).is_err());
+
+    // Without a training split, statistics must come from elsewhere.
+    let mut alone = DatasetIndex::new(folder.path(), "held out");
+    alone.add("held.mcap", Split::Test).unwrap();
+    let refused = Samples::open(&alone, Split::Test, options).err().unwrap();
+    assert!(refused.to_string().contains("split train"), "{refused}");
+    let samples = Samples::open_normalised(&alone, Split::Test, options, own).unwrap();
+    assert_eq!(*samples.statistics(), own);
 }

@@ -1,6 +1,8 @@
 //! Garments from OBJ: what is read is what stands there, and what is not a
 //! garment is refused with its line.
 
+use std::fs;
+
 use drape_dataset::obj::{GarmentMesh, write_garment};
 use drape_dataset::registry::GarmentKind;
 use drape_dataset::sequence::Material;
@@ -145,6 +147,20 @@ fn what_is_no_garment_is_refused_with_its_line() {
             assert!(message.contains("line 8"), "{name}: {message}");
         }
     }
+    // A mark of the text's encoding is no statement.
+    let square = format!("{mesh}v 1 0 0\nf 1/1 3/3 5/2\n");
+    let loose = GarmentMesh::parse(&square).unwrap_err().to_string();
+    let marked = GarmentMesh::parse(&format!("\u{feff}{square}"));
+    assert_eq!(marked.unwrap_err().to_string(), loose);
+    // Nor do names in an old encoding matter; in a statement they do.
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("old.obj");
+    let sound = format!("{mesh}f 1/1 3/3 2/2\nf 1/1 3/3 4/2\n");
+    fs::write(&path, [b"# gr\xfc\xdfe\n", sound.as_bytes()].concat()).unwrap();
+    assert_eq!(GarmentMesh::read(&path).unwrap().faces.len(), 2);
+    fs::write(&path, [sound.as_bytes(), b"f 1/1 3/3 \xfc/2\n"].concat()).unwrap();
+    let message = GarmentMesh::read(&path).unwrap_err().to_string();
+    assert!(message.contains("line 10"), "{message}");
     let message = GarmentMesh::read("no/such.obj").unwrap_err().to_string();
     assert!(message.contains("no/such.obj"), "{message}");
 }
@@ -220,6 +236,22 @@ fn a_sound_tube_gets_no_note_but_the_one_on_its_polygons() {
 }
 
 #[test]
+fn faces_without_area_in_the_uv_map_are_named() {
+    let text = |last: &str| {
+        format!(
+            "v 0 0 0\nv 10 0 0\nv 10 0 10\nv 0 0 10\nvt 0 0\nvt 0.5 0.5\nvt 0 1\nvt {last}\n\
+             f 1/1 2/2 3/3\nf 1/1 3/2 4/4\n"
+        )
+    };
+    // On a line, in one point, and beside both.
+    for (last, flat) in [("1 1", true), ("0.5 0.5", true), ("1 0.99", false)] {
+        let found = notes(&text(last)).join("\n");
+        let told = found.contains("line 10: a face without area in the UV map (1 such");
+        assert_eq!(told, flat, "{last}: {found}");
+    }
+}
+
+#[test]
 fn unwelded_seams_pieces_and_bad_edges_are_named() {
     let found = notes(&tube(12, 2, 2.0, 1.0, false)).join("\n");
     assert!(
@@ -260,13 +292,14 @@ fn unwelded_seams_pieces_and_bad_edges_are_named() {
         found.contains("lines 7, 8, 9") && found.contains("[0, 1]"),
         "{found}"
     );
-    let turned = "v 0 0 0\nv 9 0 0\nv 0 9 0\nv 0 -9 0\nvt 0 0\nf 1/1 2/1 3/1\nf 1/1 2/1 4/1\n";
+    let turned = "v 0 0 0\nv 9 0 0\nv 0 9 0\nv 0 -9 0\nvt 0 0\nvt 1 0\nvt 0 1\n\
+                  f 1/1 2/2 3/3\nf 1/1 2/2 4/3\n";
     let found = notes(turned).join("\n");
     assert!(
-        found.contains("lines 6 and 7") && found.contains("opposite ways"),
+        found.contains("lines 8 and 9") && found.contains("opposite ways"),
         "{found}"
     );
-    let sound = turned.replace("f 1/1 2/1 4/1", "f 2/1 1/1 4/1");
+    let sound = turned.replace("f 1/1 2/2 4/3", "f 2/2 1/1 4/3");
     assert!(notes(&sound).is_empty(), "{:?}", notes(&sound));
 }
 

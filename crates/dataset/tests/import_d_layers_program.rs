@@ -130,31 +130,68 @@ fn a_sequence_that_cannot_be_read_does_not_stop_the_others() {
     assert!(!out.join("00100.mcap").exists());
 }
 
+/// The program at work: its first unfinished file is there, frames are being written.
 #[cfg(unix)]
-#[test]
-fn ctrl_c_leaves_whole_files_only_and_the_same_command_goes_on() {
+fn writing(made: &d_layers::Made, out: &Path) -> std::process::Child {
     use std::time::{Duration, Instant};
 
-    if !python_is_there() {
-        return;
-    }
-    // Crumpled garments: counting takes seconds.
-    let made = make(json!({"grid": 24, "frames": 1000, "light": true, "protocol": 5}));
-    let out = made.root.parent().unwrap().join("ours");
-    let child = program(&made.root, &out, &[])
+    let child = program(&made.root, out, &[])
         .stdout(std::process::Stdio::piped())
         .stderr(std::process::Stdio::piped())
         .spawn()
         .unwrap();
-    // The unfinished file is there: frames are being written.
     let started = Instant::now();
-    while files(&out).is_empty() {
+    while files(out).is_empty() {
         assert!(
             started.elapsed() < Duration::from_secs(60),
             "nothing is written"
         );
         std::thread::sleep(Duration::from_millis(5));
     }
+    child
+}
+
+/// Crumpled garments: counting takes seconds.
+#[cfg(unix)]
+fn long_work() -> d_layers::Made {
+    make(json!({"grid": 24, "frames": 1000, "light": true, "protocol": 5}))
+}
+
+#[cfg(unix)]
+#[test]
+fn a_killed_import_leaves_no_file_of_its_names_and_the_same_command_tidies_up() {
+    if !python_is_there() {
+        return;
+    }
+    let made = long_work();
+    let out = made.root.parent().unwrap().join("ours");
+    let mut child = writing(&made, &out);
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let left = files(&out);
+    let name = left[0].file_name().unwrap().to_str().unwrap();
+    assert_eq!(left.len(), 1, "{left:?}");
+    assert!(
+        name.starts_with('.') && name.ends_with(".partial"),
+        "{name}"
+    );
+
+    let (output, text) = run(&made.root, &out, &["--skip-intersections"]);
+    assert!(output.status.success(), "{text}");
+    let names = ["00007.mcap", "00100.mcap", "00396.mcap", "dataset.json"];
+    assert_eq!(files(&out), names.map(|name| out.join(name)));
+    DatasetIndex::load(&out).unwrap().verify().unwrap();
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_leaves_whole_files_only_and_the_same_command_goes_on() {
+    if !python_is_there() {
+        return;
+    }
+    let made = long_work();
+    let out = made.root.parent().unwrap().join("ours");
+    let child = writing(&made, &out);
     let pid = child.id().to_string();
     assert!(
         Command::new("kill")

@@ -250,6 +250,97 @@ fn a_writer_that_is_dropped_or_fails_leaves_nothing_and_the_old_file_stays() {
 }
 
 #[test]
+fn what_killed_writers_left_is_taken_away_and_what_others_write_is_not() {
+    let folder = TempDir::new().unwrap();
+    let hidden = || {
+        let names = fs::read_dir(folder.path()).unwrap();
+        let names = names.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+        let mut hidden: Vec<_> = names.filter(|name| name.starts_with('.')).collect();
+        hidden.sort();
+        hidden
+    };
+    let path = folder.path().join("s.mcap");
+    let first = SequenceWriter::create(&path, &header()).unwrap();
+    let living = hidden();
+    assert_eq!(living.len(), 1);
+    assert!(living[0].starts_with(".s.mcap-") && living[0].ends_with(".partial"));
+    let others = [
+        ".s.mcap-notes.partial",
+        ".s.mcap-t-abcdef.partial",
+        ".t.mcap-abcdef.partial",
+    ];
+    for name in others.iter().chain(&[".s.mcap-abcdef.partial"]) {
+        fs::write(folder.path().join(name), "frames").unwrap();
+    }
+    let second = SequenceWriter::create(&path, &header()).unwrap();
+    let left = hidden();
+    assert!(
+        others
+            .iter()
+            .all(|name| left.iter().any(|left| left == name))
+    );
+    assert!(left.contains(&living[0]), "somebody still writes to it");
+    assert!(!left.iter().any(|name| name == ".s.mcap-abcdef.partial"));
+    drop(second);
+    for writer in [Some(first), None] {
+        let mut writer =
+            writer.unwrap_or_else(|| SequenceWriter::create(&path, &header()).unwrap());
+        writer.push(&frames(1)[0]).unwrap();
+        writer.finish().unwrap();
+        assert_eq!(decode(&path).unwrap().1.len(), 1);
+    }
+    assert_eq!(hidden().len(), others.len());
+    // Names so long that nothing fits in front of or behind them.
+    let long = folder.path().join("n".repeat(255));
+    let mut writer = SequenceWriter::create(&long, &header()).unwrap();
+    writer.push(&frames(1)[0]).unwrap();
+    writer.finish().unwrap();
+    assert_eq!(decode(&long).unwrap().1.len(), 1);
+}
+
+#[test]
+fn frames_in_another_order_are_refused_where_they_stand() {
+    let folder = TempDir::new().unwrap();
+    let sound = fs::read(write(folder.path(), &frames(4))).unwrap();
+    let mut messages: Vec<_> = mcap::MessageStream::new(&sound)
+        .unwrap()
+        .map(Result::unwrap)
+        .collect();
+    let swapped = folder.path().join("swapped.mcap");
+    let mut refused = |a: usize, b: usize, numbered: bool| {
+        // The header is the first message.
+        messages.swap(1 + a, 1 + b);
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        let options = mcap::WriteOptions::new().compression(None);
+        let mut writer = options.create(&mut bytes).unwrap();
+        for (number, message) in messages.iter().enumerate() {
+            let mut message = message.clone();
+            if numbered {
+                (message.sequence, message.log_time) = (number.max(1) as u32 - 1, number as u64);
+            }
+            writer.write(&message).unwrap();
+            writer.flush().unwrap();
+        }
+        writer.finish().unwrap();
+        drop(writer);
+        messages.swap(1 + a, 1 + b);
+        fs::write(&swapped, bytes.into_inner()).unwrap();
+        let reader = SequenceReader::open(&swapped).unwrap();
+        (0..4)
+            .filter(|&f| reader.frame(f).is_err())
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(refused(0, 0, false), [0; 0]);
+    assert_eq!(refused(1, 3, false), [1, 3]);
+    assert_eq!(
+        refused(1, 3, true),
+        [1, 3],
+        "renumbered outside, not inside"
+    );
+    assert_eq!(refused(0, 1, true), [0, 1]);
+}
+
+#[test]
 fn the_writer_names_frame_garment_and_vertex_of_bad_data_and_goes_on() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("s.mcap");

@@ -30,6 +30,77 @@ fn target() -> PathBuf {
         .to_path_buf()
 }
 
+/// Crates of this repository as the stranger builds them: what they compute is the other
+/// tests' matter, and optimising them takes most of the time. Dependencies are built as the
+/// workspace builds them, so that both use the same.
+const UNOPTIMISED: [&str; 3] = ["stranger", "drape-dataset", "drape-geometry"];
+
+/// Where packages are unpacked. It outlives the test, so that what has not changed is not
+/// built again.
+fn packages() -> PathBuf {
+    Path::new(env!("CARGO_TARGET_TMPDIR")).join("stranger")
+}
+
+/// Packages crates of this workspace; folders that hold what the packages hold.
+fn packaged<const N: usize>(names: [&str; N]) -> [PathBuf; N] {
+    let folder = packages();
+    let mut command = Command::new(env!("CARGO"));
+    command
+        .args(["package", "--no-verify", "--allow-dirty", "--offline"])
+        .args(["--quiet", "--target-dir"])
+        .arg(&folder)
+        .current_dir(workspace());
+    for name in names {
+        command.args(["-p", name]);
+    }
+    run(&mut command);
+    let fresh = tempfile::tempdir().unwrap();
+    names.map(|name| {
+        let package = folder.join(format!("package/{name}-0.1.0.crate"));
+        run(Command::new("tar")
+            .arg("xzf")
+            .arg(package)
+            .current_dir(fresh.path()));
+        mirror(
+            &fresh.path().join(format!("{name}-0.1.0")),
+            &folder.join(name),
+        );
+        folder.join(name)
+    })
+}
+
+/// Makes a folder hold what another holds. What is the same already keeps its time, by
+/// which cargo tells what is to be built.
+fn mirror(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    let names = |folder: &Path| -> Vec<_> {
+        let entries = fs::read_dir(folder).unwrap();
+        entries.map(|entry| entry.unwrap().file_name()).collect()
+    };
+    for gone in names(to).iter().filter(|name| !from.join(name).exists()) {
+        let gone = to.join(gone);
+        if gone.is_dir() {
+            fs::remove_dir_all(gone).unwrap();
+        } else {
+            fs::remove_file(gone).unwrap();
+        }
+    }
+    for name in names(from) {
+        let (from, to) = (from.join(&name), to.join(&name));
+        if from.is_dir() {
+            mirror(&from, &to);
+        } else {
+            write_if_changed(&to, &fs::read(from).unwrap());
+        }
+    }
+}
+
+fn write_if_changed(path: &Path, bytes: &[u8]) {
+    if !fs::read(path).is_ok_and(|there| there == bytes) {
+        fs::write(path, bytes).unwrap();
+    }
+}
+
 fn run(command: &mut Command) -> Output {
     let output = command.output().unwrap();
     let errors = String::from_utf8_lossy(&output.stderr);
@@ -49,46 +120,29 @@ fn a_strangers_crate_turns_d_layers_into_samples_in_fewer_than_forty_lines() {
     }
     let made = d_layers::make(json!({ "frames": 8 }));
     let folder = tempfile::tempdir().unwrap();
-    let packages = folder.path().join("packages");
-    let flags = [
-        "--no-verify",
-        "--allow-dirty",
-        "--offline",
-        "--quiet",
-        "--target-dir",
-    ];
-    run(Command::new(env!("CARGO"))
-        .args(["package", "-p", "drape-geometry", "-p", "drape-dataset"])
-        .args(flags)
-        .arg(&packages)
-        .current_dir(workspace()));
-    let unpacked = |name: &str| {
-        let folder = packages.join("package");
-        run(Command::new("tar")
-            .arg("xzf")
-            .arg(format!("{name}-0.1.0.crate"))
-            .current_dir(&folder));
-        folder.join(format!("{name}-0.1.0"))
-    };
-    let (dataset, geometry) = (unpacked("drape-dataset"), unpacked("drape-geometry"));
+    let [geometry, dataset] = packaged(["drape-geometry", "drape-dataset"]);
     let schema = fs::read_to_string(dataset.join("proto/drape.proto")).unwrap();
     assert_eq!(
         schema,
         fs::read_to_string(workspace().join("data-spec/drape.proto")).unwrap()
     );
 
-    let stranger = folder.path().join("stranger");
+    let stranger = packages().join("stranger");
     fs::create_dir_all(stranger.join("src")).unwrap();
     let profile = fs::read_to_string(workspace().join("Cargo.toml")).unwrap();
     let profile = &profile[profile.find("[profile.release]").unwrap()..];
     let manifest = format!(
         "[package]\nname = \"stranger\"\nversion = \"0.1.0\"\nedition = \"2024\"\n\n\
          [dependencies]\ndrape-dataset = {{ path = {dataset:?} }}\n\n\
-         [patch.crates-io]\ndrape-geometry = {{ path = {geometry:?} }}\n\n[workspace]\n\n{profile}"
+         [patch.crates-io]\ndrape-geometry = {{ path = {geometry:?} }}\n\n[workspace]\n\n\
+         {profile}\n{}",
+        UNOPTIMISED
+            .map(|name| format!("[profile.release.package.{name}]\nopt-level = 0\n"))
+            .concat()
     );
-    fs::write(stranger.join("Cargo.toml"), manifest).unwrap();
+    write_if_changed(&stranger.join("Cargo.toml"), manifest.as_bytes());
     fs::copy(workspace().join("Cargo.lock"), stranger.join("Cargo.lock")).unwrap();
-    fs::write(stranger.join("src/main.rs"), program).unwrap();
+    write_if_changed(&stranger.join("src/main.rs"), program.as_bytes());
     let out = folder.path().join("data");
     let output = run(Command::new(env!("CARGO"))
         .args(["run", "--release", "--offline", "--quiet", "--"])

@@ -4,6 +4,7 @@
 //! (equal numbers); [`ModelConfig::default`] is the paper's model with the
 //! handling of the program's fragile points. Each difference is a field.
 
+use drape_dataset::world_edges::Reach;
 use serde::{Deserialize, Serialize};
 
 use crate::error::ModelError;
@@ -107,10 +108,11 @@ pub enum GravitySource {
 
 impl Default for ModelConfig {
     fn default() -> Self {
+        let reach = Reach::default();
         Self {
             blocks: 4,
-            body_radius: 0.4,
-            layer_radius: 0.6,
+            body_radius: reach.body,
+            layer_radius: reach.layer,
             body_slots: BodySlots::Nearest,
             body_messages: BodyMessages::Own,
             force_frames: ForceFrames::NewerUnit,

@@ -1,10 +1,9 @@
 //! Who sees whom in one frame: everything discrete that LayersNet derives from
 //! the state and the body before any weight is used.
 //!
-//! World edges join patches closer than the layer radius that are not mesh
-//! neighbours. Body tokens are the distinct body vertices that some patch sees,
-//! then wind and gravity, which every patch sees. A vertex takes its motion from
-//! at most four patches near it: among the mesh neighbours q of its own patch
+//! World edges are those of [`drape_dataset::world_edges`]. Body tokens are the
+//! distinct body vertices that some patch sees, then wind and gravity, which every
+//! patch sees. A vertex takes its motion from at most four patches near it: among the mesh neighbours q of its own patch
 //! (lowest index), the four nearest, kept if q is the own patch or nearer to the
 //! vertex than to the own patch's centre.
 //! Distances are direct differences in f32. A pass whose subject is absent (no
@@ -16,6 +15,7 @@ use drape_dataset::patches::{Csr, Patches};
 use drape_dataset::sample::{Outfit, StatePair, Step};
 use drape_dataset::statistics::{Motion, Trend};
 use drape_dataset::support::SupportPose;
+use drape_dataset::world_edges::{BODY_NEIGHBOURS, body_nearby, patches_across};
 use drape_geometry::grid::Grid;
 use drape_geometry::normals::vertex_normals_again;
 use rayon::prelude::*;
@@ -26,11 +26,8 @@ use crate::frames::{IDENTITY, Matrix, frame, rotate, unit};
 use crate::kernels::attention::Edges;
 use crate::kernels::{fit, for_all_with};
 
-/// Body vertices a patch sees at most.
-const BODY_SLOTS: usize = 16;
 /// Patches a vertex takes its motion from at most.
 const PATCHES_PER_VERTEX: usize = 4;
-const EPSILON: f32 = 1e-7;
 /// Lighter cloth than this (a tenth of the paper's lightest) moves in wind as this does.
 const LEAST_MASS: f32 = 0.02;
 
@@ -194,22 +191,6 @@ fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
     (x * x + y * y + z * z).sqrt()
 }
 
-/// Mean state of each patch's members.
-pub fn patch_means<const N: usize>(
-    members: &Csr,
-    states: &[[f32; N]],
-) -> impl Iterator<Item = [f32; N]> {
-    members.iter().map(|vertices| {
-        let mut sum = [0f32; N];
-        for &vertex in vertices {
-            for (sum, value) in sum.iter_mut().zip(&states[vertex as usize]) {
-                *sum += value;
-            }
-        }
-        sum.map(|value| value / (vertices.len() as f32 + EPSILON))
-    })
-}
-
 /// Body slots of a patch: `(token vertex, repeats)`.
 fn body_slots(
     config: &ModelConfig,
@@ -220,13 +201,13 @@ fn body_slots(
 ) {
     match config.body_slots {
         BodySlots::Nearest => {
-            grid.k_nearest(centre, BODY_SLOTS, config.body_radius, found);
-            slots.extend(found.iter().map(|&(vertex, _)| (vertex, 1)));
+            let nearby = body_nearby(grid, centre, config.body_radius, found);
+            slots.extend(nearby.map(|vertex| (vertex, 1)));
         }
         BodySlots::FirstByIndex => {
             grid.within(centre, config.body_radius, found);
-            found.truncate(BODY_SLOTS);
-            let repeats = 1 + (BODY_SLOTS - found.len()) as u32;
+            found.truncate(BODY_NEIGHBOURS);
+            let repeats = 1 + (BODY_NEIGHBOURS - found.len()) as u32;
             let count = |slot| if slot == 0 { repeats } else { 1 };
             let found = found.iter().enumerate();
             slots.extend(found.map(|(slot, &(vertex, _))| (vertex, count(slot))));
@@ -265,19 +246,6 @@ fn see(
         distance,
         share: (1.0 - (distance / sight).powi(2)).powi(2),
     })
-}
-
-/// Begins lists anew.
-fn start(list: &mut Csr) {
-    list.offsets.clear();
-    list.offsets.push(0);
-    list.items.clear();
-}
-
-/// Adds a list of items.
-fn push_row(list: &mut Csr, items: impl IntoIterator<Item = u32>) {
-    list.items.extend(items);
-    list.offsets.push(list.items.len() as u32);
 }
 
 impl FrameGraph {
@@ -327,16 +295,17 @@ impl FrameGraph {
             kept,
             supporting,
         } = &mut self.room;
-        refill(&mut self.patch_states, patch_means(&patches.members, state));
+        refill(&mut self.patch_states, patches.means(state));
         refill(centres, self.patch_states.iter().map(position));
         refill(body, step.body.iter().map(position));
         let (centres, body) = (&*centres, &*body);
         layer_grid.rebuild(centres, config.layer_radius);
+        let layer_grid = &*layer_grid;
         world.fill(count, |patch, found, items| {
-            let neighbours = patches.neighbours.row(patch);
-            layer_grid.within(centres[patch], config.layer_radius, found);
-            let far = |&(q, _): &(u32, f32)| neighbours.binary_search(&q).is_err().then_some(q);
-            items.extend(found.iter().filter_map(far));
+            let (centre, radius) = (centres[patch], config.layer_radius);
+            items.extend(patches_across(
+                patches, patch, centre, layer_grid, radius, found,
+            ));
         });
 
         // Body tokens, and anchors of patches and vertices.
@@ -428,26 +397,26 @@ impl FrameGraph {
         refill(&mut edges.rotations, seen.chain(forces));
         [&mut edges.mesh, &mut edges.world, &mut edges.body]
             .into_iter()
-            .for_each(start);
+            .for_each(Csr::clear);
         for patch in 0..count {
             let attributes = outfit.patch_attributes.row(patch).iter();
             let attributes = attributes.map(|&a| a + count as u32);
             let neighbours = patches.neighbours.row(patch).iter().copied();
-            push_row(&mut edges.mesh, neighbours.chain(attributes));
+            edges.mesh.push_row(neighbours.chain(attributes));
         }
         for items in world.iter() {
-            push_row(&mut edges.world, items.iter().copied());
+            edges.world.push_row(items.iter().copied());
         }
         edges.body_log_count.clear();
         for slots in slots_of_patch.iter() {
             let seen = slots.iter().map(|&(vertex, _)| row_of[vertex as usize]);
-            push_row(&mut edges.body, seen.chain([tokens, tokens + 1]));
+            edges.body.push_row(seen.chain([tokens, tokens + 1]));
             let counts = slots.iter().map(|&(_, repeats)| (repeats as f32).ln());
             edges.body_log_count.extend(counts.chain([0.0, 0.0]));
         }
 
         refill(&mut self.patch_masses, (0..count).map(|p| outfit.mass(p)));
-        let rests = patch_means(&patches.members, &outfit.rest);
+        let rests = patches.means(&outfit.rest);
         refill(&mut self.patch_rests, rests);
         let starts = &outfit.garment_offsets[1..outfit.garments()];
         let garment = |first: u32| starts.partition_point(|&start| start <= first as usize);

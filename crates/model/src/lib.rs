@@ -22,6 +22,6 @@ pub use config::{
 };
 pub use error::{ModelError, Result};
 pub use evaluation::{Evaluation, ForwardSeconds, Prediction};
-pub use graph::{Anchor, FrameGraph, Slot, patch_means};
+pub use graph::{Anchor, FrameGraph, Slot};
 pub use layersnet::LayersNet;
 pub use parameters::Parameters;

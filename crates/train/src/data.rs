@@ -3,19 +3,23 @@
 //!
 //! Frames are read from the files when a sample is drawn, so memory does not
 //! grow with the data set.
+//!
+//! Training draws with replacement, and draws the number of steps and a heading with each
+//! place, which leaves it less places the more steps there are. [`drape_dataset::order`]
+//! deals out every place once for one number of steps; reading, statistics and samples are
+//! the same code for both.
 
 use std::path::Path;
 use std::sync::Arc;
 
 use drape_dataset::SequenceReader;
 use drape_dataset::random::stream;
-use drape_dataset::sample::{FrameStates, Outfit, Sample, gravity_per_frame, turned};
-use drape_dataset::sequence::Frame;
+use drape_dataset::sample::{Outfit, Sample, gravity_per_frame};
+use drape_dataset::samples::{read_states, training_statistics};
 use drape_dataset::splits::{DatasetIndex, Split};
-use drape_dataset::statistics::{ColumnStatistics, Statistics, StatisticsBuilder};
+use drape_dataset::statistics::{ColumnStatistics, Statistics};
 use drape_model::GravitySource;
 use rand::Rng;
-use rayon::prelude::*;
 
 use crate::config::TrainConfig;
 use crate::error::{Result, TrainError};
@@ -58,31 +62,6 @@ pub fn sample_gravity(source: GravitySource, reader: &SequenceReader) -> [f32; 3
         GravitySource::Released => [0.0, 0.0, -9.8 / 30.0],
         GravitySource::Scene => gravity_per_frame(reader.header()),
     }
-}
-
-/// States of frame `index`, from the frames around it.
-///
-/// # Errors
-/// If a frame cannot be read.
-pub fn states_of(
-    reader: &SequenceReader,
-    frames: std::ops::Range<usize>,
-    heading_rad: f64,
-) -> Result<Vec<FrameStates>> {
-    let first = frames.start.saturating_sub(2);
-    let read = |index| -> Result<Frame> {
-        let frame = reader.frame(index)?;
-        Ok(if heading_rad == 0.0 {
-            frame
-        } else {
-            turned(&frame, heading_rad)
-        })
-    };
-    let window: Vec<Frame> = (first..frames.end).map(read).collect::<Result<_>>()?;
-    let older = |index: usize, back: usize| index.checked_sub(back).map(|at| &window[at]);
-    Ok((frames.start - first..window.len())
-        .map(|index| FrameStates::new(&window[index], older(index, 1), older(index, 2)))
-        .collect())
 }
 
 /// Statistics that do not depend on the heading: x and y share their spread and have mean 0.
@@ -134,7 +113,7 @@ impl TrainingSet {
                 });
             }
         }
-        let statistics = statistics(&sequences, config.schedule.first_frame)?;
+        let statistics = training_statistics(&index, config.schedule.first_frame)?;
         let statistics = if config.random_heading {
             without_heading(statistics)
         } else {
@@ -182,7 +161,7 @@ impl TrainingSet {
     pub fn sample(&self, draw: &Draw, gravity: GravitySource) -> Result<Sample> {
         let sequence = &self.sequences[draw.sequence];
         let frames = draw.frame - 1..draw.frame + draw.rolled + 2;
-        let states = states_of(&sequence.reader, frames, draw.heading_rad)?;
+        let states = read_states(&sequence.reader, frames, draw.heading_rad)?;
         let gravity = sample_gravity(gravity, &sequence.reader);
         Ok(Sample::new(
             sequence.outfit.clone(),
@@ -196,28 +175,6 @@ impl TrainingSet {
     pub fn name(&self, draw: &Draw) -> &str {
         &self.sequences[draw.sequence].reader.header().name
     }
-}
-
-fn statistics(sequences: &[TrainingSequence], first_frame: usize) -> Result<Statistics> {
-    let parts: Vec<StatisticsBuilder> = sequences
-        .par_iter()
-        .map(|sequence| {
-            let mut builder = StatisticsBuilder::default();
-            let mut previous: Option<FrameStates> = None;
-            for frame in first_frame - 1..sequence.reader.frame_count() {
-                let states = states_of(&sequence.reader, frame..frame + 1, 0.0)?.remove(0);
-                if let Some(previous) = &previous {
-                    states.collect(previous, &mut builder);
-                }
-                previous = Some(states);
-            }
-            Ok(builder)
-        })
-        .collect::<Result<_>>()?;
-    Ok(parts
-        .into_iter()
-        .fold(StatisticsBuilder::default(), StatisticsBuilder::merge)
-        .finish())
 }
 
 /// Reads statistics saved beside a checkpoint.

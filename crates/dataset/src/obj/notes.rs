@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use drape_geometry::mesh::components;
 
-use super::GarmentMesh;
+use super::{FLAT, GarmentMesh};
 
 /// Longest side of a garment in metres: a small top to a coat with sleeves spread. Its
 /// ends are a factor of ten apart, as the units in use are, so that one unit fits.
@@ -25,6 +25,7 @@ pub(super) fn of(mesh: &GarmentMesh, line: &[usize]) -> Vec<String> {
     let notes = [
         shared_edges(mesh, line),
         turned_faces(mesh, line),
+        flat_in_uv(mesh, line),
         unwelded(mesh),
         pieces(mesh),
         scale(mesh),
@@ -74,6 +75,26 @@ fn turned_faces(mesh: &GarmentMesh, line: &[usize]) -> Option<String> {
          turn one side over",
         line[a],
         line[b],
+        bad.count() + 1
+    ))
+}
+
+fn flat_in_uv(mesh: &GarmentMesh, line: &[usize]) -> Option<String> {
+    let flat = |face: &[u32; 3]| {
+        let [a, b, c] = face.map(|corner| mesh.uv[corner as usize].map(f64::from));
+        let [p, q] = [b, c].map(|to| [to[0] - a[0], to[1] - a[1]]);
+        let longest_squared = [p, q, [q[0] - p[0], q[1] - p[1]]]
+            .map(|[u, v]| u * u + v * v)
+            .into_iter()
+            .fold(0.0, f64::max);
+        (p[0] * q[1] - p[1] * q[0]).abs() <= FLAT * longest_squared
+    };
+    let mut bad = (0..).zip(&mesh.uv_faces).filter(|(_, face)| flat(face));
+    let (first, _): (usize, _) = bad.next()?;
+    Some(format!(
+        "line {}: a face without area in the UV map ({} such faces): patches are cells of \
+         that map, so unwrap the garment at one scale",
+        line[first],
         bad.count() + 1
     ))
 }

@@ -1,7 +1,6 @@
 //! All terms of one step, in memory that the next sample uses again.
 
 use drape_dataset::sample::{Outfit, State, Step};
-use drape_model::patch_means;
 
 use super::collision::{CollisionRoom, body_collision, layer_collision};
 use super::normal::{MeshNormals, NormalRoom, normal_loss};
@@ -73,7 +72,7 @@ impl Terms {
             layer_collision(&config.collision, outfit, predicted, normals, room, term);
             values.layer_collision = term.add_to(&mut self.by_vertex, config.layer_collision);
         }
-        let patch_truth = patch_means(&outfit.patches.members, &self.reference);
+        let patch_truth = outfit.patches.means(&self.reference);
         self.patch_truth.clear();
         self.patch_truth
             .extend(patch_truth.map(|row| position(&row)));
