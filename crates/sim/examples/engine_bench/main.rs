@@ -145,24 +145,39 @@ struct Run {
 }
 
 fn run(scene: &Scene, settings: &EngineSettings, with_profile: bool) -> Result<Run> {
+    let make = || {
+        Engine::new(
+            &scene.garments,
+            &scene.waistbands,
+            &scene.body_faces,
+            &scene.bodies[0],
+            &scene.physics,
+            settings,
+        )
+    };
     if !with_profile {
-        return simulate(scene, settings);
+        let mut engine = make()?;
+        lead_in(scene, &mut engine)?;
+        return measured(scene, &mut engine);
     }
-    let (run, profile) = profile::recorded(|| simulate(scene, settings));
+    // An engine keeps time if it was made within a recording; what leads in is in none.
+    let (engine, _) = profile::recorded(make);
+    let mut engine = engine?;
+    lead_in(scene, &mut engine)?;
+    let (run, profile) = profile::recorded(|| measured(scene, &mut engine));
     let mut run = run?;
     run.profile = Some(profile);
     Ok(run)
 }
 
-fn simulate(scene: &Scene, settings: &EngineSettings) -> Result<Run> {
-    let mut engine = Engine::new(
-        &scene.garments,
-        &scene.waistbands,
-        &scene.body_faces,
-        &scene.bodies[0],
-        &scene.physics,
-        settings,
-    )?;
+fn lead_in(scene: &Scene, engine: &mut Engine) -> Result<()> {
+    for body in &scene.bodies[..scene.lead] {
+        engine.advance(body, scene.wind, 1.0 / FPS)?;
+    }
+    Ok(())
+}
+
+fn measured(scene: &Scene, engine: &mut Engine) -> Result<Run> {
     let mut run = Run {
         vertices: scene.vertices(),
         body_vertices: scene.bodies[0].len(),
@@ -177,14 +192,10 @@ fn simulate(scene: &Scene, settings: &EngineSettings) -> Result<Run> {
         pairs: 0,
         profile: None,
     };
-    for (number, body) in scene.bodies.iter().enumerate() {
+    for body in &scene.bodies[scene.lead..] {
         let clock = Clock::start();
         let report = engine.advance(body, scene.wind, 1.0 / FPS)?;
-        let seconds = clock.seconds();
-        if number < scene.lead {
-            continue;
-        }
-        run.seconds.push(seconds);
+        run.seconds.push(clock.seconds());
         run.uncertified += report.uncertified;
         run.repaired += report.repaired;
         run.searches += u64::from(report.searches);

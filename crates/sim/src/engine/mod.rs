@@ -34,6 +34,7 @@ mod friction;
 mod gravity;
 mod layer_contact;
 mod material;
+mod order;
 mod passes;
 pub mod profile;
 mod self_contact;

@@ -13,6 +13,7 @@
 //! convergence, and damped cloth would stretch like rubber.
 
 use super::fabric::Fabric;
+use super::order::by_rounds;
 use super::state::State;
 
 /// One spring.
@@ -34,7 +35,8 @@ pub(super) struct Stretch {
 
 impl Stretch {
     pub fn new(fabric: &Fabric, damping_s: f64) -> Self {
-        let spring = |(number, &ends): (usize, &[u32; 2])| {
+        let spring = |number: usize| {
+            let ends = fabric.edges[number];
             let rest = fabric.rest_length(ends);
             let cloth = fabric.cloth_of(ends[0]);
             // Needles have next to no area along their long sides: they must hold together all the same.
@@ -47,8 +49,12 @@ impl Stretch {
                 lambda: 0.0,
             }
         };
-        let springs = fabric.edges.iter().enumerate().map(spring).collect();
-        Self { springs, damping_s }
+        let order = by_rounds(fabric.rest.len(), &fabric.edges);
+        let springs = order.iter().map(|&number| spring(number as usize));
+        Self {
+            springs: springs.collect(),
+            damping_s,
+        }
     }
 
     /// Starts a substep.
