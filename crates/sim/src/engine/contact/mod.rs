@@ -2,7 +2,8 @@
 //!
 //! Pipeline, the same for body, layer and self contact:
 //! 1. [`search`], a few times a frame: pairs of features that can come within
-//!    their thickness before the next search, from boxes of swept vertices;
+//!    their thickness before the next search, from boxes of swept vertices
+//!    ([`tree`]) and what [`sieve`] lets through of what these give;
 //! 2. [`pair`], each substep: gap and normal of the pairs that are awake;
 //! 3. [`solve`], each pass: push apart, rub;
 //! 4. [`certificate`], at the end of a substep: a plane between the features of
@@ -17,6 +18,7 @@ pub(super) mod certificate;
 pub(super) mod list;
 pub(super) mod pair;
 pub(super) mod search;
+pub(super) mod sieve;
 pub(super) mod solve;
 pub(super) mod strays;
 pub(super) mod tree;

@@ -12,6 +12,7 @@ use std::ops::Range;
 use glam::DVec3;
 
 use super::pair::{Features, Pair, Separation, idle, separation};
+use super::sieve::{Sieve, Ways};
 use super::tree::{MovingBox, Tree};
 use super::tubes::{SLACK_M, Tubes};
 use crate::engine::fabric::{Fabric, Piece};
@@ -33,6 +34,8 @@ pub(crate) struct Surfaces {
     body_faces: Vec<[u32; 3]>,
     /// Boxes around the tubes, one per vertex.
     boxes: Vec<MovingBox>,
+    /// The tubes as the sieve wants them.
+    ways: Ways,
     /// Outward normals of vertices at the last search, of garments turned to face outwards.
     pub normals: Vec<DVec3>,
     /// 1 for garments whose faces point away from the body, −1 for the others.
@@ -106,6 +109,7 @@ impl Surfaces {
             body: Surface::new(x, state.cloth..x.len(), &body_faces, &body_edges),
             body_faces,
             boxes: vec![MovingBox::EMPTY; x.len()],
+            ways: Ways::default(),
             normals: vec![DVec3::ZERO; x.len()],
             outward: vec![1.0; fabric.garments.len()],
         };
@@ -159,6 +163,7 @@ impl Surfaces {
     /// Brings boxes, trees and normals up to date; `substeps` until the next search.
     pub fn refit(&mut self, fabric: &Fabric, state: &State, tubes: &Tubes, substeps: f64) {
         self.measure_normals(fabric, state);
+        self.ways.lay(state, tubes, substeps);
         for (i, around) in self.boxes.iter_mut().enumerate() {
             let tube = &tubes.of[i];
             let end = state.x[i] + substeps * tube.step;
@@ -194,6 +199,11 @@ impl Search<'_> {
     /// far as both may be out of their tubes.
     pub fn reach(&self, thickness: f64) -> f64 {
         thickness.max(2.0 * SLACK_M)
+    }
+
+    /// A sieve for candidates that can come within `thickness` before the next search.
+    pub fn sieve(&self, features: Features, thickness: f64) -> Sieve<'_> {
+        Sieve::new(&self.surfaces.ways, features, self.reach(thickness))
     }
 
     /// Measures two features.

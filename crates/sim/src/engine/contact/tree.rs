@@ -33,6 +33,7 @@ macro_rules! widest {
         $inner($($value),*);
     }};
 }
+pub(crate) use widest;
 
 /// Boxes in a node.
 const WIDTH: usize = 8;
@@ -40,7 +41,7 @@ const WIDTH: usize = 8;
 /// the negative of the high corner, so that the smaller one always wins.
 const COORDINATES: usize = 12;
 /// f32 boxes of points within 8 m of the origin round by less, m.
-const ROUNDING_M: f32 = 1e-6;
+pub(crate) const ROUNDING_M: f32 = 1e-6;
 
 /// A box that moves linearly from its place at the start to that at the end.
 #[derive(Clone, Copy, Debug, PartialEq)]
