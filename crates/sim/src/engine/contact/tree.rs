@@ -37,6 +37,8 @@ pub(crate) use widest;
 
 /// Boxes in a node.
 const WIDTH: usize = 8;
+/// Bits of all boxes in a node.
+const EVERY: u32 = (1 << WIDTH) - 1;
 /// Coordinates of a box: x, y, z of the low corner at start and end, and of
 /// the negative of the high corner, so that the smaller one always wins.
 const COORDINATES: usize = 12;
@@ -119,6 +121,14 @@ impl Limits {
     }
 }
 
+impl Limits {
+    /// Those of one box among many.
+    #[inline(always)]
+    fn at(all: &[[f32; WIDTH]; COORDINATES], lane: usize) -> Self {
+        Self(all.map(|coordinate| coordinate[lane]))
+    }
+}
+
 /// Eight boxes by coordinate.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(32))]
@@ -154,6 +164,19 @@ impl Node {
             }
         }
         union
+    }
+
+    /// Limits of all boxes, by coordinate.
+    #[inline(always)]
+    fn limits(&self, reach: f32) -> [[f32; WIDTH]; COORDINATES] {
+        const HALF: usize = COORDINATES / 2;
+        let mut limits = [[0.0; WIDTH]; COORDINATES];
+        for c in 0..COORDINATES {
+            for lane in 0..WIDTH {
+                limits[c][lane] = reach - self.0[(c + HALF) % COORDINATES][lane];
+            }
+        }
+        limits
     }
 
     /// Bit of each box that can be met within the limits.
@@ -268,6 +291,14 @@ impl<const N: usize> Tree<N> {
     fn height(&self) -> usize {
         self.levels.len() - 1
     }
+
+    /// The box around a node, where the level above has it.
+    #[inline(always)]
+    fn around(&self, level: usize, index: u32) -> Option<MovingBox> {
+        let above = self.levels.get(level + 1)?;
+        let (node, lane) = (index as usize / WIDTH, index as usize % WIDTH);
+        Some(above[node].get(lane))
+    }
 }
 
 #[inline(always)]
@@ -325,8 +356,16 @@ fn descend_both<const N: usize, const M: usize>(
             }
             continue;
         }
-        for lane in 0..width {
-            let mut met = node_b.met(&Limits::new(&node_a.get(lane as usize), reach));
+        // Most nodes that meet do so at their borders: only few boxes matter.
+        let mut lanes = match b.around(lb, j) {
+            Some(whole) => node_a.met(&Limits::new(&whole, reach)),
+            None => EVERY,
+        };
+        let limits = node_a.limits(reach);
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros();
+            lanes &= lanes - 1;
+            let mut met = node_b.met(&Limits::at(&limits, lane as usize));
             let from = i * width + lane;
             while met != 0 {
                 let to = j * width + met.trailing_zeros();
@@ -352,9 +391,16 @@ fn descend_itself<const N: usize>(
     stack.push((tree.height(), 0u32, 0u32));
     while let Some((level, i, j)) = stack.pop() {
         let nodes = &tree.levels[level];
-        for lane in 0..width {
-            let limits = Limits::new(&nodes[i as usize].get(lane as usize), reach);
-            let mut met = nodes[j as usize].met(&limits);
+        let (node_i, node_j) = (&nodes[i as usize], &nodes[j as usize]);
+        let mut lanes = match tree.around(level, j).filter(|_| i != j) {
+            Some(whole) => node_i.met(&Limits::new(&whole, reach)),
+            None => EVERY,
+        };
+        let limits = node_i.limits(reach);
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros();
+            lanes &= lanes - 1;
+            let mut met = node_j.met(&Limits::at(&limits, lane as usize));
             if i == j {
                 // Each two once; a node below with itself, a feature not.
                 met &= u32::MAX << (lane + u32::from(level == 0));
