@@ -24,6 +24,8 @@ pub(super) mod strays;
 pub(super) mod tree;
 pub(super) mod tubes;
 
+use std::cell::Cell;
+
 use certificate::{Certificate, Outcome};
 use drape_dataset::registry::Effect;
 use glam::DVec3;
@@ -113,8 +115,8 @@ impl Contacts {
             close: settings.push_out_m_s * h,
             through: settings.recovery_m_s * h,
         };
-        if self.tubes.expired(settings.search_every) {
-            self.search(fabric, state, moment, watch);
+        if self.tubes.expired() {
+            report.candidates += self.search(fabric, state, moment, watch);
             report.searches += 1;
         }
         let (tubes, lists) = self.tubes_and_lists();
@@ -199,6 +201,7 @@ impl Contacts {
                 state,
                 &mut found,
             );
+            total.found = found.len() as u64;
             watch.stop(Part::Strays, start);
         }
         total
@@ -228,7 +231,14 @@ impl Contacts {
         watch.stop(Part::Trees, start);
     }
 
-    fn search(&mut self, fabric: &Fabric, state: &State, moment: Moment, watch: &mut Stopwatch) {
+    /// Lists the pairs of the coming substeps; how many candidates it looked at.
+    fn search(
+        &mut self,
+        fabric: &Fabric,
+        state: &State,
+        moment: Moment,
+        watch: &mut Stopwatch,
+    ) -> u64 {
         let Moment {
             now,
             h,
@@ -236,7 +246,7 @@ impl Contacts {
             settings,
         } = moment;
         // Bodies change their velocities from frame to frame: no search outlives one.
-        let substeps = f64::from(settings.search_every.min(left));
+        let substeps = f64::from(self.tubes.horizon(settings.search_every).min(left));
         let start = watch.start();
         self.tubes.lay(state, h, substeps);
         self.surfaces.refit(fabric, state, &self.tubes, substeps);
@@ -248,6 +258,7 @@ impl Contacts {
             tubes: &self.tubes,
             now,
             substeps,
+            candidates: Cell::new(0),
         };
         if let Some(body) = &mut self.body {
             let start = watch.start();
@@ -264,6 +275,7 @@ impl Contacts {
             own.search(&within);
             watch.stop(Part::Search(Effect::SelfContact), start);
         }
+        within.candidates.get()
     }
 
     fn lists(&self) -> impl Iterator<Item = &PairList> {

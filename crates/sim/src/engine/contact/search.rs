@@ -7,6 +7,7 @@
 //! trees of its own, and so does the body: which are compared with which is the
 //! business of the effect that asks.
 
+use std::cell::Cell;
 use std::ops::Range;
 
 use glam::DVec3;
@@ -192,6 +193,8 @@ pub(crate) struct Search<'a> {
     pub now: u32,
     /// Substeps until the next search.
     pub substeps: f64,
+    /// Candidates that were looked at so far.
+    pub candidates: Cell<u64>,
 }
 
 impl Search<'_> {
@@ -203,7 +206,8 @@ impl Search<'_> {
 
     /// A sieve for candidates that can come within `thickness` before the next search.
     pub fn sieve(&self, features: Features, thickness: f64) -> Sieve<'_> {
-        Sieve::new(&self.surfaces.ways, features, self.reach(thickness))
+        let reach = self.reach(thickness);
+        Sieve::new(&self.surfaces.ways, features, reach, &self.candidates)
     }
 
     /// Measures two features.

@@ -13,6 +13,8 @@
 //! once, coordinate by coordinate, in wide registers, and what rounding can do
 //! is added to `reach`. The same operations in every build give the same bits.
 
+use std::cell::Cell;
+
 use glam::DVec3;
 
 use super::pair::Features;
@@ -61,6 +63,8 @@ pub(crate) struct Sieve<'a> {
     reach: f32,
     waiting: Vec<[u32; 4]>,
     batch: Box<Batch>,
+    /// Counts what was put in.
+    count: &'a Cell<u64>,
 }
 
 /// Numbers of the waiting candidates; places relative to the first vertex.
@@ -75,7 +79,7 @@ struct Batch {
 
 impl<'a> Sieve<'a> {
     /// A sieve for pairs of these features that may come within `reach`, m.
-    pub fn new(ways: &'a Ways, features: Features, reach: f64) -> Self {
+    pub fn new(ways: &'a Ways, features: Features, reach: f64, count: &'a Cell<u64>) -> Self {
         Self {
             ways,
             features,
@@ -88,6 +92,7 @@ impl<'a> Sieve<'a> {
                 direction: [[0.0; BATCH]; 3],
                 spare: [0.0; BATCH],
             }),
+            count,
         }
     }
 
@@ -106,6 +111,7 @@ impl<'a> Sieve<'a> {
     }
 
     fn shake(&mut self, passed: &mut impl FnMut([u32; 4])) {
+        self.count.set(self.count.get() + self.waiting.len() as u64);
         self.gather();
         let (batch, reach) = (&mut *self.batch, self.reach);
         match self.features {
@@ -342,7 +348,8 @@ mod tests {
     fn passes(features: Features, reach: f64, state: &State, tubes: &Tubes, substeps: f64) -> bool {
         let mut ways = Ways::default();
         ways.lay(state, tubes, substeps);
-        let mut sieve = Sieve::new(&ways, features, reach);
+        let count = Cell::new(0);
+        let mut sieve = Sieve::new(&ways, features, reach, &count);
         let mut passed = Vec::new();
         let mut found = |vertices| passed.push(vertices);
         sieve.put([0, 1, 2, 3], &mut found);
@@ -416,7 +423,8 @@ mod tests {
         let mut ways = Ways::default();
         ways.lay(&state, &tubes, substeps);
         for count in [1, BATCH - 1, BATCH, BATCH + 1, 5 * BATCH + 7] {
-            let mut sieve = Sieve::new(&ways, Features::EdgeEdge, 0.004);
+            let counted = Cell::new(0);
+            let mut sieve = Sieve::new(&ways, Features::EdgeEdge, 0.004, &counted);
             let put: Vec<[u32; 4]> = (0..count)
                 .map(|i| {
                     if i % 3 == 0 {
@@ -434,6 +442,7 @@ mod tests {
             sieve.finish(&mut found);
             let near: Vec<[u32; 4]> = put.into_iter().filter(|v| v[2] == 2).collect();
             assert_eq!(passed, near);
+            assert_eq!(counted.get(), count as u64);
         }
     }
 }
