@@ -96,6 +96,7 @@ impl Contacts {
     /// The body changes its velocity: old tubes do not hold.
     pub fn begin_frame(&mut self) {
         self.tubes.expire();
+        self.surfaces.begin_frame();
     }
 
     /// Searches if it is time, and lists the contacts of the substep.
@@ -249,7 +250,8 @@ impl Contacts {
         let substeps = f64::from(self.tubes.horizon(settings.search_every).min(left));
         let start = watch.start();
         self.tubes.lay(state, h, substeps);
-        self.surfaces.refit(fabric, state, &self.tubes, substeps);
+        self.surfaces
+            .refit(fabric, state, &self.tubes, substeps, left);
         watch.stop(Part::Trees, start);
         let within = Search {
             surfaces: &self.surfaces,

@@ -32,6 +32,10 @@ pub(crate) struct Surface {
 pub(crate) struct Surfaces {
     pub garments: Vec<Surface>,
     pub body: Surface,
+    /// The body as it moves until the end of the frame, and the substeps left when it was fitted:
+    /// it is known in advance.
+    frame: Option<u32>,
+    whole_frame: Surface,
     body_faces: Vec<[u32; 3]>,
     /// Boxes around the tubes, one per vertex.
     boxes: Vec<MovingBox>,
@@ -57,6 +61,12 @@ impl Surface {
         self.vertices.refit(boxes);
         self.faces.refit(boxes);
         self.edges.refit(boxes);
+    }
+
+    fn refit_within(&mut self, longer: &Self, begin: f32, end: f32) {
+        self.vertices.refit_within(&longer.vertices, begin, end);
+        self.faces.refit_within(&longer.faces, begin, end);
+        self.edges.refit_within(&longer.edges, begin, end);
     }
 
     /// Vertices here near faces there that they do not belong to: the vertex, then the face's.
@@ -105,9 +115,12 @@ impl Surfaces {
             let edges = &fabric.edges[piece.edges.clone()];
             Surface::new(x, piece.vertices.clone(), faces, edges)
         };
+        let body = Surface::new(x, state.cloth..x.len(), &body_faces, &body_edges);
         let mut surfaces = Self {
             garments: fabric.garments.iter().map(garment).collect(),
-            body: Surface::new(x, state.cloth..x.len(), &body_faces, &body_edges),
+            whole_frame: body.clone(),
+            body,
+            frame: None,
             body_faces,
             boxes: vec![MovingBox::EMPTY; x.len()],
             ways: Ways::default(),
@@ -161,18 +174,49 @@ impl Surfaces {
         }
     }
 
-    /// Brings boxes, trees and normals up to date; `substeps` until the next search.
-    pub fn refit(&mut self, fabric: &Fabric, state: &State, tubes: &Tubes, substeps: f64) {
+    /// The body moves on in another way than before.
+    pub fn begin_frame(&mut self) {
+        self.frame = None;
+    }
+
+    /// Brings boxes, trees and normals up to date; `substeps` until the next
+    /// search, `left` in the frame.
+    pub fn refit(
+        &mut self,
+        fabric: &Fabric,
+        state: &State,
+        tubes: &Tubes,
+        substeps: f64,
+        left: u32,
+    ) {
         self.measure_normals(fabric, state);
         self.ways.lay(state, tubes, substeps);
-        for (i, around) in self.boxes.iter_mut().enumerate() {
-            let tube = &tubes.of[i];
-            let end = state.x[i] + substeps * tube.step;
-            *around = MovingBox::of(state.x[i], end, tube.radius * substeps);
+        let fit = |vertex: usize, substeps: f64| {
+            let tube = &tubes.of[vertex];
+            let end = state.x[vertex] + substeps * tube.step;
+            MovingBox::of(state.x[vertex], end, tube.radius * substeps)
+        };
+        for vertex in 0..state.cloth {
+            self.boxes[vertex] = fit(vertex, substeps);
         }
-        for surface in self.garments.iter_mut().chain([&mut self.body]) {
+        for surface in &mut self.garments {
             surface.refit(&self.boxes);
         }
+        let whole = match self.frame {
+            Some(whole) => whole,
+            None => {
+                for vertex in state.cloth..state.x.len() {
+                    self.boxes[vertex] = fit(vertex, f64::from(left));
+                }
+                self.whole_frame.refit(&self.boxes);
+                self.frame = Some(left);
+                left
+            }
+        };
+        let part = |gone: f64| (gone / f64::from(whole)) as f32;
+        let gone = f64::from(whole - left);
+        let (begin, end) = (part(gone), part(gone + substeps));
+        self.body.refit_within(&self.whole_frame, begin, end);
     }
 
     /// Faces of the body near cloth vertex `v`: the vertex, then the face's.

@@ -50,8 +50,8 @@ pub(crate) const ROUNDING_M: f32 = 1e-6;
 pub(crate) struct MovingBox([f32; COORDINATES]);
 
 impl MovingBox {
-    /// The box that holds nothing.
-    pub const EMPTY: Self = Self([f32::INFINITY; COORDINATES]);
+    /// The box that holds nothing: so far away that it stays so between any two moments.
+    pub const EMPTY: Self = Self([f32::MAX; COORDINATES]);
 
     /// Around a point that starts at `start` and ends within `radius` of `end`.
     #[inline]
@@ -135,7 +135,7 @@ impl Limits {
 struct Node([[f32; WIDTH]; COORDINATES]);
 
 impl Node {
-    const EMPTY: Self = Self([[f32::INFINITY; WIDTH]; COORDINATES]);
+    const EMPTY: Self = Self([[f32::MAX; WIDTH]; COORDINATES]);
 
     #[inline(always)]
     fn get(&self, lane: usize) -> MovingBox {
@@ -255,6 +255,16 @@ impl<const N: usize> Tree<N> {
         }
     }
 
+    /// Takes the boxes of a tree over the same features that is fitted to a
+    /// longer stretch, from `begin` to `end` of it (0 to 1).
+    ///
+    /// What moves linearly within a linearly moving box does so for a part of
+    /// the time too; boxes of parts come out no smaller than fitted anew.
+    pub fn refit_within(&mut self, longer: &Self, begin: f32, end: f32) {
+        let levels = (&mut self.levels[..], &longer.levels[..]);
+        widest!(between<>(levels: (&mut [Vec<Node>], &[Vec<Node>]) = levels, begin: f32 = begin, end: f32 = end));
+    }
+
     /// Makes room for what one feature does beside what it was fitted to.
     pub fn grow(&mut self, feature: usize, room: &MovingBox) {
         let mut at = self.place[feature] as usize;
@@ -298,6 +308,24 @@ impl<const N: usize> Tree<N> {
         let above = self.levels.get(level + 1)?;
         let (node, lane) = (index as usize / WIDTH, index as usize % WIDTH);
         Some(above[node].get(lane))
+    }
+}
+
+#[inline(always)]
+fn between((part, whole): (&mut [Vec<Node>], &[Vec<Node>]), begin: f32, end: f32) {
+    const HALF: usize = COORDINATES / 2;
+    let nodes = part.iter_mut().flatten();
+    for (node, whole) in nodes.zip(whole.iter().flatten()) {
+        for half in [0, HALF] {
+            for c in half..half + 3 {
+                let (first, last) = (whole.0[c], whole.0[c + 3]);
+                for lane in 0..WIDTH {
+                    let at = |t: f32| first[lane] * (1.0 - t) + last[lane] * t - ROUNDING_M;
+                    node.0[c][lane] = at(begin);
+                    node.0[c + 3][lane] = at(end);
+                }
+            }
+        }
     }
 }
 
@@ -558,6 +586,54 @@ mod tests {
         let boxes = points.map(|p| MovingBox::of(p, p + flight, 0.01));
         assert!(!boxes[0].can_meet(&boxes[1], 0.17));
         assert!(boxes[0].can_meet(&boxes[1], 0.19));
+    }
+
+    #[test]
+    fn boxes_of_a_part_of_the_time_hold_what_moves_in_it() {
+        let mut swarm = Swarm::new(200, 0.0);
+        swarm.radius = 0.0;
+        let whole = swarm.tree();
+        let mut part = whole.clone();
+        for (begin, end) in [(0.0, 1.0), (0.0, 0.25), (0.3, 0.7), (0.5, 1.0), (1.0, 1.0)] {
+            part.refit_within(&whole, begin as f32, end as f32);
+            let at = |i: usize, t: f64| swarm.start[i].lerp(swarm.end[i], t);
+            for i in 0..200 {
+                for t in [0.0, 0.4, 1.0] {
+                    // Something that is there at that moment of the part, and nowhere near before and after.
+                    let there = at(i, begin + t * (end - begin));
+                    let away = DVec3::new(0.0, 0.0, 50.0);
+                    let query = MovingBox::of(there - t * away, there + (1.0 - t) * away, 0.0);
+                    let mut found = Vec::new();
+                    part.meeting(&query, 0.0, |[j]| found.push(j));
+                    assert!(
+                        found.contains(&(i as u32)),
+                        "{i} at {t} of {begin} to {end}"
+                    );
+                }
+            }
+            // And no more than boxes fitted to the part would.
+            let boxes: Vec<MovingBox> = (0..200)
+                .map(|i| MovingBox::of(at(i, begin), at(i, end), 0.0))
+                .collect();
+            let mut fitted = whole.clone();
+            fitted.refit(&boxes);
+            let query = MovingBox::of(DVec3::ZERO, DVec3::ONE, 0.3);
+            let count = |tree: &Tree<1>| {
+                let mut count = 0;
+                tree.meeting(&query, 1e-5, |_| count += 1);
+                count
+            };
+            let strict = {
+                let mut count = 0;
+                fitted.meeting(&query, 0.0, |_| count += 1);
+                count
+            };
+            assert!((strict..=count(&fitted)).contains(&{
+                let mut count = 0;
+                part.meeting(&query, 0.0, |_| count += 1);
+                count
+            }));
+        }
     }
 
     #[test]
