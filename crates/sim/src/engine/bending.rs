@@ -11,6 +11,7 @@
 use glam::DVec3;
 
 use super::fabric::Fabric;
+use super::order::by_rounds;
 use super::state::State;
 
 #[derive(Clone, Copy, Debug)]
@@ -54,7 +55,13 @@ impl Bending {
                 stiffness: 3.0 * fabric.cloth_of(a).bending / area,
             });
         }
-        Self { hinges, damping_s }
+        let corners: Vec<[u32; 4]> = hinges.iter().map(|hinge| hinge.corners).collect();
+        let order = by_rounds(fabric.rest.len(), &corners);
+        let hinges = order.iter().map(|&number| hinges[number as usize]);
+        Self {
+            hinges: hinges.collect(),
+            damping_s,
+        }
     }
 
     /// The one pass of a substep over all hinges.

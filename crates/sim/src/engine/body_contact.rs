@@ -12,7 +12,7 @@ use super::state::State;
 
 /// Vertices known to be inside look this far for the way out, m.
 const RESCUE_M: f64 = 0.04;
-/// A body vertex this far out of a cloth face is taken to poke through it, m.
+/// What is this far on the wrong side is taken to have poked through, m.
 const POKE_M: f64 = 0.01;
 
 /// Pairs of cloth and body.
@@ -49,23 +49,18 @@ impl BodyContact {
             surfaces, state, ..
         } = *within;
         let (thickness, friction) = (self.thickness, self.friction);
-        for v in 0..state.cloth as u32 {
-            self.cloth_vertex(v, within);
-        }
+        self.cloth_vertices(within);
         let inside = |v: u32| self.inside[v as usize];
+        let place = |v: u32| state.x[v as usize];
         let normal = |v: u32| surfaces.normals[v as usize];
         let list = &mut self.list;
         let (reach, body) = (within.reach(thickness), &surfaces.body);
         for garment in &surfaces.garments {
-            body.vertices_and_faces(garment, reach, |vertices| {
-                let [v, a, b, c] = vertices;
-                if inside(a) || inside(b) || inside(c) {
-                    return;
-                }
+            let mut take = |vertices: [u32; 4]| {
                 let found = within.measure(vertices, Features::VertexFace);
                 let pokes = found.separation.interior
                     && found.distance < POKE_M
-                    && found.separation.d.dot(normal(v)) > 0.5 * found.distance;
+                    && found.separation.d.dot(normal(vertices[0])) > 0.5 * found.distance;
                 let pair = if pokes {
                     within.rescue(&found, thickness, friction)
                 } else {
@@ -74,45 +69,86 @@ impl BodyContact {
                 if let Some(pair) = pair {
                     list.push(pair);
                 }
-            });
-            garment.edges_and_edges(body, reach, |vertices| {
-                let [a, b, c, d] = vertices;
-                if inside(a) || inside(b) {
+            };
+            let mut sieve = within.sieve(Features::VertexFace, thickness);
+            body.vertices_and_faces(garment, reach, |vertices| {
+                let [v, a, b, c] = vertices;
+                if inside(a) || inside(b) || inside(c) {
                     return;
                 }
+                // What may poke through matters from further off.
+                let out = 3.0 * place(v) - (place(a) + place(b) + place(c));
+                if out.dot(normal(v)) > 0.0 {
+                    take(vertices);
+                } else {
+                    sieve.put(vertices, &mut take);
+                }
+            });
+            sieve.finish(&mut take);
+            let mut take = |vertices: [u32; 4]| {
                 let found = within.measure(vertices, Features::EdgeEdge);
                 if let Some(pair) = within.pair(&found, thickness, friction) {
+                    let out = normal(vertices[2]) + normal(vertices[3]);
                     let through = found.separation.interior
                         && found.distance < POKE_M
-                        && found.separation.d.dot(normal(c) + normal(d)) < -found.distance;
+                        && found.separation.d.dot(out) < -found.distance;
                     if !through {
                         list.push(pair);
                     }
                 }
+            };
+            let mut sieve = within.sieve(Features::EdgeEdge, thickness);
+            garment.edges_and_edges(body, reach, |vertices| {
+                if !(inside(vertices[0]) || inside(vertices[1])) {
+                    sieve.put(vertices, &mut take);
+                }
             });
+            sieve.finish(&mut take);
         }
     }
 
-    fn cloth_vertex(&mut self, v: u32, within: &Search) {
+    /// Pairs of cloth vertices with the body's faces, and who is inside.
+    fn cloth_vertices(&mut self, within: &Search) {
         let Search {
             surfaces, state, ..
         } = *within;
-        if state.w[v as usize] == 0.0 {
-            return;
-        }
-        let was_inside = self.inside[v as usize];
-        let look = if was_inside { RESCUE_M } else { self.thickness };
-        let near = &mut self.near;
+        let free = |v: u32| state.w[v as usize] > 0.0;
+        let mut near = std::mem::take(&mut self.near);
         near.clear();
-        surfaces.body_faces_near(v, within.reach(look), |vertices| {
-            near.push(within.measure(vertices, Features::VertexFace));
-        });
+        let reach = within.reach(self.thickness);
+        let mut take = |vertices| near.push(within.measure(vertices, Features::VertexFace));
+        for garment in &surfaces.garments {
+            // The nearest face says who is inside: it must not be lost.
+            let mut sieve = within.sieve(Features::VertexFace, self.thickness.max(POKE_M));
+            garment.vertices_and_faces(&surfaces.body, reach, |vertices| {
+                let v = vertices[0];
+                if free(v) && !self.inside[v as usize] {
+                    sieve.put(vertices, &mut take);
+                }
+            });
+            sieve.finish(&mut take);
+        }
+        for v in (0..state.cloth as u32).filter(|&v| free(v) && self.inside[v as usize]) {
+            surfaces.body_faces_near(v, within.reach(RESCUE_M), &mut take);
+        }
+        near.sort_by_key(|found| found.vertices);
+        self.inside.fill(false);
+        for of_one in near.chunk_by(|a, b| a.vertices[0] == b.vertices[0]) {
+            self.cloth_vertex(of_one, within);
+        }
+        self.near = near;
+    }
+
+    /// Pairs of one cloth vertex with the body's faces near it.
+    fn cloth_vertex(&mut self, near: &[Candidate], within: &Search) {
+        let Search {
+            surfaces, state, ..
+        } = *within;
         let nearest = near.iter().min_by(|a, b| a.distance.total_cmp(&b.distance));
         let Some(nearest) = nearest else {
-            self.inside[v as usize] = false;
             return;
         };
-        let [_, a, b, c] = nearest.vertices;
+        let [v, a, b, c] = nearest.vertices;
         let x = |v: u32| state.x[v as usize];
         let normal = if nearest.separation.interior {
             (x(b) - x(a)).cross(x(c) - x(a))

@@ -45,13 +45,24 @@ impl LayerContact {
         self.doubtful.clear();
         self.wrong.clear();
         let reach = within.reach(self.thickness);
+        // What is on the wrong side is looked for further off.
+        let look = if self.recovering {
+            self.thickness.max(RESCUE_M)
+        } else {
+            self.thickness
+        };
         let garments = &within.surfaces.garments;
         for (number, first) in garments.iter().enumerate() {
             for second in &garments[number + 1..] {
-                let mut vertex = |v| self.take(v, Features::VertexFace, within);
-                first.vertices_and_faces(second, reach, &mut vertex);
-                second.vertices_and_faces(first, reach, &mut vertex);
-                first.edges_and_edges(second, reach, |v| self.take(v, Features::EdgeEdge, within));
+                let mut sieve = within.sieve(Features::VertexFace, look);
+                let mut found = |v| self.take(v, Features::VertexFace, within);
+                first.vertices_and_faces(second, reach, |v| sieve.put(v, &mut found));
+                second.vertices_and_faces(first, reach, |v| sieve.put(v, &mut found));
+                sieve.finish(&mut found);
+                let mut sieve = within.sieve(Features::EdgeEdge, look);
+                let mut found = |v| self.take(v, Features::EdgeEdge, within);
+                first.edges_and_edges(second, reach, |v| sieve.put(v, &mut found));
+                sieve.finish(&mut found);
             }
         }
         let wrong = &self.wrong;

@@ -34,6 +34,7 @@ mod friction;
 mod gravity;
 mod layer_contact;
 mod material;
+mod order;
 mod passes;
 pub mod profile;
 mod self_contact;
@@ -75,6 +76,8 @@ pub use wind::{PASCAL_PER_STRENGTH, air_velocity};
 pub struct StepReport {
     /// Searches for contact pairs.
     pub searches: u32,
+    /// Candidates for pairs that searches and strays looked at: the work of finding contacts.
+    pub candidates: u64,
     /// Pairs after the last search.
     pub pairs: usize,
     /// Contacts in the last substep.
@@ -361,6 +364,7 @@ impl Engine {
                 contacts.solve(state, self.friction, watch);
             }
             let outcome = contacts.certify(fabric, state, watch);
+            report.candidates += outcome.found;
             report.repaired += u64::from(outcome.failed);
             report.uncertified += u64::from(outcome.left);
         }

@@ -33,16 +33,26 @@ impl SelfContact {
         let mut take = |vertices, features| {
             let found = within.measure(vertices, features);
             let fabric = within.fabric;
-            let rest = separation(features, vertices, &fabric.rest).d.length();
-            let thickness = thickness.min(REST_SHARE * rest);
             let friction = fabric.cloth_of(vertices[0]).friction;
-            if let Some(pair) = within.pair(&found, thickness, friction) {
+            let pair = |thickness| within.pair(&found, thickness, friction);
+            if pair(thickness).is_none() {
+                return;
+            }
+            let rest = separation(features, vertices, &fabric.rest).d.length();
+            if let Some(pair) = pair(thickness.min(REST_SHARE * rest)) {
                 list.push(pair);
             }
         };
+        let [vertex, edge] = [Features::VertexFace, Features::EdgeEdge];
         for garment in &within.surfaces.garments {
-            garment.vertices_and_faces(garment, reach, |v| take(v, Features::VertexFace));
-            garment.own_edges(reach, |v| take(v, Features::EdgeEdge));
+            let mut sieve = within.sieve(vertex, thickness);
+            let mut found = |v| take(v, vertex);
+            garment.vertices_and_faces(garment, reach, |v| sieve.put(v, &mut found));
+            sieve.finish(&mut found);
+            let mut sieve = within.sieve(edge, thickness);
+            let mut found = |v| take(v, edge);
+            garment.own_edges(reach, |v| sieve.put(v, &mut found));
+            sieve.finish(&mut found);
         }
     }
 }

@@ -9,6 +9,7 @@ use drape_dataset::sequence::Garment;
 use glam::{DVec2, DVec3};
 
 use super::fabric::Fabric;
+use super::order::by_rounds;
 use super::state::State;
 
 /// One face: f_u = Σ u[k] x_k, f_v = Σ v[k] x_k.
@@ -59,7 +60,12 @@ impl Shear {
                 });
             }
         }
-        Self { weaves }
+        let corners: Vec<[u32; 3]> = weaves.iter().map(|weave| weave.corners).collect();
+        let order = by_rounds(fabric.rest.len(), &corners);
+        let weaves = order.iter().map(|&number| weaves[number as usize]);
+        Self {
+            weaves: weaves.collect(),
+        }
     }
 
     /// The one pass of a substep over all faces.

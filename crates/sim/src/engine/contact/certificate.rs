@@ -44,6 +44,8 @@ pub(crate) struct Outcome {
     pub failed: u32,
     /// Pairs that still failed at the end.
     pub left: u32,
+    /// Pairs that strays asked for.
+    pub found: u64,
 }
 
 impl Certificate {

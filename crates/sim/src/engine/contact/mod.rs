@@ -2,7 +2,8 @@
 //!
 //! Pipeline, the same for body, layer and self contact:
 //! 1. [`search`], a few times a frame: pairs of features that can come within
-//!    their thickness before the next search, from boxes of swept vertices;
+//!    their thickness before the next search, from boxes of swept vertices
+//!    ([`tree`]) and what [`sieve`] lets through of what these give;
 //! 2. [`pair`], each substep: gap and normal of the pairs that are awake;
 //! 3. [`solve`], each pass: push apart, rub;
 //! 4. [`certificate`], at the end of a substep: a plane between the features of
@@ -17,10 +18,13 @@ pub(super) mod certificate;
 pub(super) mod list;
 pub(super) mod pair;
 pub(super) mod search;
+pub(super) mod sieve;
 pub(super) mod solve;
 pub(super) mod strays;
 pub(super) mod tree;
 pub(super) mod tubes;
+
+use std::cell::Cell;
 
 use certificate::{Certificate, Outcome};
 use drape_dataset::registry::Effect;
@@ -92,6 +96,7 @@ impl Contacts {
     /// The body changes its velocity: old tubes do not hold.
     pub fn begin_frame(&mut self) {
         self.tubes.expire();
+        self.surfaces.begin_frame();
     }
 
     /// Searches if it is time, and lists the contacts of the substep.
@@ -111,8 +116,8 @@ impl Contacts {
             close: settings.push_out_m_s * h,
             through: settings.recovery_m_s * h,
         };
-        if self.tubes.expired(settings.search_every) {
-            self.search(fabric, state, moment, watch);
+        if self.tubes.expired() {
+            report.candidates += self.search(fabric, state, moment, watch);
             report.searches += 1;
         }
         let (tubes, lists) = self.tubes_and_lists();
@@ -197,6 +202,7 @@ impl Contacts {
                 state,
                 &mut found,
             );
+            total.found = found.len() as u64;
             watch.stop(Part::Strays, start);
         }
         total
@@ -226,7 +232,14 @@ impl Contacts {
         watch.stop(Part::Trees, start);
     }
 
-    fn search(&mut self, fabric: &Fabric, state: &State, moment: Moment, watch: &mut Stopwatch) {
+    /// Lists the pairs of the coming substeps; how many candidates it looked at.
+    fn search(
+        &mut self,
+        fabric: &Fabric,
+        state: &State,
+        moment: Moment,
+        watch: &mut Stopwatch,
+    ) -> u64 {
         let Moment {
             now,
             h,
@@ -234,10 +247,11 @@ impl Contacts {
             settings,
         } = moment;
         // Bodies change their velocities from frame to frame: no search outlives one.
-        let substeps = f64::from(settings.search_every.min(left));
+        let substeps = f64::from(self.tubes.horizon(settings.search_every).min(left));
         let start = watch.start();
         self.tubes.lay(state, h, substeps);
-        self.surfaces.refit(fabric, state, &self.tubes, substeps);
+        self.surfaces
+            .refit(fabric, state, &self.tubes, substeps, left);
         watch.stop(Part::Trees, start);
         let within = Search {
             surfaces: &self.surfaces,
@@ -246,6 +260,7 @@ impl Contacts {
             tubes: &self.tubes,
             now,
             substeps,
+            candidates: Cell::new(0),
         };
         if let Some(body) = &mut self.body {
             let start = watch.start();
@@ -262,6 +277,7 @@ impl Contacts {
             own.search(&within);
             watch.stop(Part::Search(Effect::SelfContact), start);
         }
+        within.candidates.get()
     }
 
     fn lists(&self) -> impl Iterator<Item = &PairList> {

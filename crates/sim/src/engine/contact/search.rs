@@ -7,11 +7,13 @@
 //! trees of its own, and so does the body: which are compared with which is the
 //! business of the effect that asks.
 
+use std::cell::Cell;
 use std::ops::Range;
 
 use glam::DVec3;
 
 use super::pair::{Features, Pair, Separation, idle, separation};
+use super::sieve::{Sieve, Ways};
 use super::tree::{MovingBox, Tree};
 use super::tubes::{SLACK_M, Tubes};
 use crate::engine::fabric::{Fabric, Piece};
@@ -30,9 +32,15 @@ pub(crate) struct Surface {
 pub(crate) struct Surfaces {
     pub garments: Vec<Surface>,
     pub body: Surface,
+    /// The body as it moves until the end of the frame, and the substeps left when it was fitted:
+    /// it is known in advance.
+    frame: Option<u32>,
+    whole_frame: Surface,
     body_faces: Vec<[u32; 3]>,
     /// Boxes around the tubes, one per vertex.
     boxes: Vec<MovingBox>,
+    /// The tubes as the sieve wants them.
+    ways: Ways,
     /// Outward normals of vertices at the last search, of garments turned to face outwards.
     pub normals: Vec<DVec3>,
     /// 1 for garments whose faces point away from the body, −1 for the others.
@@ -53,6 +61,12 @@ impl Surface {
         self.vertices.refit(boxes);
         self.faces.refit(boxes);
         self.edges.refit(boxes);
+    }
+
+    fn refit_within(&mut self, longer: &Self, begin: f32, end: f32) {
+        self.vertices.refit_within(&longer.vertices, begin, end);
+        self.faces.refit_within(&longer.faces, begin, end);
+        self.edges.refit_within(&longer.edges, begin, end);
     }
 
     /// Vertices here near faces there that they do not belong to: the vertex, then the face's.
@@ -101,11 +115,15 @@ impl Surfaces {
             let edges = &fabric.edges[piece.edges.clone()];
             Surface::new(x, piece.vertices.clone(), faces, edges)
         };
+        let body = Surface::new(x, state.cloth..x.len(), &body_faces, &body_edges);
         let mut surfaces = Self {
             garments: fabric.garments.iter().map(garment).collect(),
-            body: Surface::new(x, state.cloth..x.len(), &body_faces, &body_edges),
+            whole_frame: body.clone(),
+            body,
+            frame: None,
             body_faces,
             boxes: vec![MovingBox::EMPTY; x.len()],
+            ways: Ways::default(),
             normals: vec![DVec3::ZERO; x.len()],
             outward: vec![1.0; fabric.garments.len()],
         };
@@ -156,17 +174,49 @@ impl Surfaces {
         }
     }
 
-    /// Brings boxes, trees and normals up to date; `substeps` until the next search.
-    pub fn refit(&mut self, fabric: &Fabric, state: &State, tubes: &Tubes, substeps: f64) {
+    /// The body moves on in another way than before.
+    pub fn begin_frame(&mut self) {
+        self.frame = None;
+    }
+
+    /// Brings boxes, trees and normals up to date; `substeps` until the next
+    /// search, `left` in the frame.
+    pub fn refit(
+        &mut self,
+        fabric: &Fabric,
+        state: &State,
+        tubes: &Tubes,
+        substeps: f64,
+        left: u32,
+    ) {
         self.measure_normals(fabric, state);
-        for (i, around) in self.boxes.iter_mut().enumerate() {
-            let tube = &tubes.of[i];
-            let end = state.x[i] + substeps * tube.step;
-            *around = MovingBox::of(state.x[i], end, tube.radius * substeps);
+        self.ways.lay(state, tubes, substeps);
+        let fit = |vertex: usize, substeps: f64| {
+            let tube = &tubes.of[vertex];
+            let end = state.x[vertex] + substeps * tube.step;
+            MovingBox::of(state.x[vertex], end, tube.radius * substeps)
+        };
+        for vertex in 0..state.cloth {
+            self.boxes[vertex] = fit(vertex, substeps);
         }
-        for surface in self.garments.iter_mut().chain([&mut self.body]) {
+        for surface in &mut self.garments {
             surface.refit(&self.boxes);
         }
+        let whole = match self.frame {
+            Some(whole) => whole,
+            None => {
+                for vertex in state.cloth..state.x.len() {
+                    self.boxes[vertex] = fit(vertex, f64::from(left));
+                }
+                self.whole_frame.refit(&self.boxes);
+                self.frame = Some(left);
+                left
+            }
+        };
+        let part = |gone: f64| (gone / f64::from(whole)) as f32;
+        let gone = f64::from(whole - left);
+        let (begin, end) = (part(gone), part(gone + substeps));
+        self.body.refit_within(&self.whole_frame, begin, end);
     }
 
     /// Faces of the body near cloth vertex `v`: the vertex, then the face's.
@@ -187,6 +237,8 @@ pub(crate) struct Search<'a> {
     pub now: u32,
     /// Substeps until the next search.
     pub substeps: f64,
+    /// Candidates that were looked at so far.
+    pub candidates: Cell<u64>,
 }
 
 impl Search<'_> {
@@ -194,6 +246,12 @@ impl Search<'_> {
     /// far as both may be out of their tubes.
     pub fn reach(&self, thickness: f64) -> f64 {
         thickness.max(2.0 * SLACK_M)
+    }
+
+    /// A sieve for candidates that can come within `thickness` before the next search.
+    pub fn sieve(&self, features: Features, thickness: f64) -> Sieve<'_> {
+        let reach = self.reach(thickness);
+        Sieve::new(&self.surfaces.ways, features, reach, &self.candidates)
     }
 
     /// Measures two features.

@@ -33,22 +33,25 @@ macro_rules! widest {
         $inner($($value),*);
     }};
 }
+pub(crate) use widest;
 
 /// Boxes in a node.
 const WIDTH: usize = 8;
+/// Bits of all boxes in a node.
+const EVERY: u32 = (1 << WIDTH) - 1;
 /// Coordinates of a box: x, y, z of the low corner at start and end, and of
 /// the negative of the high corner, so that the smaller one always wins.
 const COORDINATES: usize = 12;
 /// f32 boxes of points within 8 m of the origin round by less, m.
-const ROUNDING_M: f32 = 1e-6;
+pub(crate) const ROUNDING_M: f32 = 1e-6;
 
 /// A box that moves linearly from its place at the start to that at the end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct MovingBox([f32; COORDINATES]);
 
 impl MovingBox {
-    /// The box that holds nothing.
-    pub const EMPTY: Self = Self([f32::INFINITY; COORDINATES]);
+    /// The box that holds nothing: so far away that it stays so between any two moments.
+    pub const EMPTY: Self = Self([f32::MAX; COORDINATES]);
 
     /// Around a point that starts at `start` and ends within `radius` of `end`.
     #[inline]
@@ -118,13 +121,21 @@ impl Limits {
     }
 }
 
+impl Limits {
+    /// Those of one box among many.
+    #[inline(always)]
+    fn at(all: &[[f32; WIDTH]; COORDINATES], lane: usize) -> Self {
+        Self(all.map(|coordinate| coordinate[lane]))
+    }
+}
+
 /// Eight boxes by coordinate.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(32))]
 struct Node([[f32; WIDTH]; COORDINATES]);
 
 impl Node {
-    const EMPTY: Self = Self([[f32::INFINITY; WIDTH]; COORDINATES]);
+    const EMPTY: Self = Self([[f32::MAX; WIDTH]; COORDINATES]);
 
     #[inline(always)]
     fn get(&self, lane: usize) -> MovingBox {
@@ -153,6 +164,19 @@ impl Node {
             }
         }
         union
+    }
+
+    /// Limits of all boxes, by coordinate.
+    #[inline(always)]
+    fn limits(&self, reach: f32) -> [[f32; WIDTH]; COORDINATES] {
+        const HALF: usize = COORDINATES / 2;
+        let mut limits = [[0.0; WIDTH]; COORDINATES];
+        for c in 0..COORDINATES {
+            for lane in 0..WIDTH {
+                limits[c][lane] = reach - self.0[(c + HALF) % COORDINATES][lane];
+            }
+        }
+        limits
     }
 
     /// Bit of each box that can be met within the limits.
@@ -231,6 +255,16 @@ impl<const N: usize> Tree<N> {
         }
     }
 
+    /// Takes the boxes of a tree over the same features that is fitted to a
+    /// longer stretch, from `begin` to `end` of it (0 to 1).
+    ///
+    /// What moves linearly within a linearly moving box does so for a part of
+    /// the time too; boxes of parts come out no smaller than fitted anew.
+    pub fn refit_within(&mut self, longer: &Self, begin: f32, end: f32) {
+        let levels = (&mut self.levels[..], &longer.levels[..]);
+        widest!(between<>(levels: (&mut [Vec<Node>], &[Vec<Node>]) = levels, begin: f32 = begin, end: f32 = end));
+    }
+
     /// Makes room for what one feature does beside what it was fitted to.
     pub fn grow(&mut self, feature: usize, room: &MovingBox) {
         let mut at = self.place[feature] as usize;
@@ -266,6 +300,32 @@ impl<const N: usize> Tree<N> {
 
     fn height(&self) -> usize {
         self.levels.len() - 1
+    }
+
+    /// The box around a node, where the level above has it.
+    #[inline(always)]
+    fn around(&self, level: usize, index: u32) -> Option<MovingBox> {
+        let above = self.levels.get(level + 1)?;
+        let (node, lane) = (index as usize / WIDTH, index as usize % WIDTH);
+        Some(above[node].get(lane))
+    }
+}
+
+#[inline(always)]
+fn between((part, whole): (&mut [Vec<Node>], &[Vec<Node>]), begin: f32, end: f32) {
+    const HALF: usize = COORDINATES / 2;
+    let nodes = part.iter_mut().flatten();
+    for (node, whole) in nodes.zip(whole.iter().flatten()) {
+        for half in [0, HALF] {
+            for c in half..half + 3 {
+                let (first, last) = (whole.0[c], whole.0[c + 3]);
+                for lane in 0..WIDTH {
+                    let at = |t: f32| first[lane] * (1.0 - t) + last[lane] * t - ROUNDING_M;
+                    node.0[c][lane] = at(begin);
+                    node.0[c + 3][lane] = at(end);
+                }
+            }
+        }
     }
 }
 
@@ -324,8 +384,16 @@ fn descend_both<const N: usize, const M: usize>(
             }
             continue;
         }
-        for lane in 0..width {
-            let mut met = node_b.met(&Limits::new(&node_a.get(lane as usize), reach));
+        // Most nodes that meet do so at their borders: only few boxes matter.
+        let mut lanes = match b.around(lb, j) {
+            Some(whole) => node_a.met(&Limits::new(&whole, reach)),
+            None => EVERY,
+        };
+        let limits = node_a.limits(reach);
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros();
+            lanes &= lanes - 1;
+            let mut met = node_b.met(&Limits::at(&limits, lane as usize));
             let from = i * width + lane;
             while met != 0 {
                 let to = j * width + met.trailing_zeros();
@@ -351,9 +419,16 @@ fn descend_itself<const N: usize>(
     stack.push((tree.height(), 0u32, 0u32));
     while let Some((level, i, j)) = stack.pop() {
         let nodes = &tree.levels[level];
-        for lane in 0..width {
-            let limits = Limits::new(&nodes[i as usize].get(lane as usize), reach);
-            let mut met = nodes[j as usize].met(&limits);
+        let (node_i, node_j) = (&nodes[i as usize], &nodes[j as usize]);
+        let mut lanes = match tree.around(level, j).filter(|_| i != j) {
+            Some(whole) => node_i.met(&Limits::new(&whole, reach)),
+            None => EVERY,
+        };
+        let limits = node_i.limits(reach);
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros();
+            lanes &= lanes - 1;
+            let mut met = node_j.met(&Limits::at(&limits, lane as usize));
             if i == j {
                 // Each two once; a node below with itself, a feature not.
                 met &= u32::MAX << (lane + u32::from(level == 0));
@@ -511,6 +586,54 @@ mod tests {
         let boxes = points.map(|p| MovingBox::of(p, p + flight, 0.01));
         assert!(!boxes[0].can_meet(&boxes[1], 0.17));
         assert!(boxes[0].can_meet(&boxes[1], 0.19));
+    }
+
+    #[test]
+    fn boxes_of_a_part_of_the_time_hold_what_moves_in_it() {
+        let mut swarm = Swarm::new(200, 0.0);
+        swarm.radius = 0.0;
+        let whole = swarm.tree();
+        let mut part = whole.clone();
+        for (begin, end) in [(0.0, 1.0), (0.0, 0.25), (0.3, 0.7), (0.5, 1.0), (1.0, 1.0)] {
+            part.refit_within(&whole, begin as f32, end as f32);
+            let at = |i: usize, t: f64| swarm.start[i].lerp(swarm.end[i], t);
+            for i in 0..200 {
+                for t in [0.0, 0.4, 1.0] {
+                    // Something that is there at that moment of the part, and nowhere near before and after.
+                    let there = at(i, begin + t * (end - begin));
+                    let away = DVec3::new(0.0, 0.0, 50.0);
+                    let query = MovingBox::of(there - t * away, there + (1.0 - t) * away, 0.0);
+                    let mut found = Vec::new();
+                    part.meeting(&query, 0.0, |[j]| found.push(j));
+                    assert!(
+                        found.contains(&(i as u32)),
+                        "{i} at {t} of {begin} to {end}"
+                    );
+                }
+            }
+            // And no more than boxes fitted to the part would.
+            let boxes: Vec<MovingBox> = (0..200)
+                .map(|i| MovingBox::of(at(i, begin), at(i, end), 0.0))
+                .collect();
+            let mut fitted = whole.clone();
+            fitted.refit(&boxes);
+            let query = MovingBox::of(DVec3::ZERO, DVec3::ONE, 0.3);
+            let count = |tree: &Tree<1>| {
+                let mut count = 0;
+                tree.meeting(&query, 1e-5, |_| count += 1);
+                count
+            };
+            let strict = {
+                let mut count = 0;
+                fitted.meeting(&query, 0.0, |_| count += 1);
+                count
+            };
+            assert!((strict..=count(&fitted)).contains(&{
+                let mut count = 0;
+                part.meeting(&query, 0.0, |_| count += 1);
+                count
+            }));
+        }
     }
 
     #[test]

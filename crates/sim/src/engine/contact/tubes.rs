@@ -42,6 +42,8 @@ pub(crate) struct Tubes {
     age: Option<u32>,
     /// Substeps the tubes are laid for.
     substeps: f64,
+    /// Substeps that tubes may be trusted for, as far as the last ones tell.
+    trust: u32,
 }
 
 impl Tubes {
@@ -52,12 +54,21 @@ impl Tubes {
             deviation: vec![0.3e-3; state.cloth],
             age: None,
             substeps: 0.0,
+            trust: u32::MAX,
         }
     }
 
     /// Whether a search is due: too old, or a vertex is out of its tube.
-    pub fn expired(&self, every: u32) -> bool {
-        self.age.is_none_or(|age| age >= every)
+    pub fn expired(&self) -> bool {
+        self.age.is_none_or(|age| f64::from(age) >= self.substeps)
+    }
+
+    /// For how many substeps, of at most `most`, tubes are worth laying.
+    ///
+    /// Cloth that is shaken leaves its tubes early: laid for longer, they
+    /// would only be wider, and each search would find more for nothing.
+    pub fn horizon(&self, most: u32) -> u32 {
+        self.trust.min(most)
     }
 
     /// Forces a search before the next substep.
@@ -135,7 +146,10 @@ impl Tubes {
             left |= state.x[i].distance_squared(line) > room * room;
         }
         if left {
+            self.trust = 2 * *age;
             self.age = None;
+        } else if count >= self.substeps {
+            self.trust = self.trust.saturating_mul(2);
         }
     }
 }
