@@ -1,7 +1,7 @@
 //! A recipe that was read is the recipe that was written, to the last bit.
 
-use drape_sim::engine::EngineSettings;
-use drape_sim::scene::{Recipe, SceneRanges};
+use drape_sim::engine::{AIR_DENSITY, EngineSettings};
+use drape_sim::scene::{Recipe, SceneRanges, Units};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -35,4 +35,18 @@ fn every_number_is_read_as_it_was_written() {
         );
         assert_eq!(c.to_bits(), read.garments[0].material.tension.to_bits());
     }
+}
+
+#[test]
+fn a_recipe_that_does_not_say_its_air_is_of_real_air() {
+    let ranges = SceneRanges {
+        units: Units::DLayers,
+        ..SceneRanges::default()
+    };
+    let recipe = ranges.sample("train_0000", 0, 1, 9, &EngineSettings::default());
+    let text = recipe.to_json();
+    let said = format!("\"air_density\":{},", recipe.air_density);
+    assert!(text.contains(&said), "{text}");
+    let older = Recipe::from_json(&text.replace(&said, "")).unwrap();
+    assert_eq!(older.air_density, AIR_DENSITY);
 }
