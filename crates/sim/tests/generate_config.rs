@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use drape_dataset::registry::GarmentKind;
 use drape_sim::blender::BlenderSettings;
-use drape_sim::engine::EngineSettings;
+use drape_sim::engine::{AIR_DENSITY, EngineSettings};
 use drape_sim::motion::MotionFamily;
 use drape_sim::scene::{Recipe, SceneRanges, Units};
 
@@ -96,6 +96,12 @@ fn garments_float_in_the_units_of_d_layers_and_fall_in_real_ones() {
         };
         let recipe = ranges.sample("train_0000", 0, 1, 9, &EngineSettings::default());
         assert_eq!(recipe.gravity, [0.0, 0.0, gravity]);
+        // The air is thinner in proportion.
+        let thinner = recipe.air_density / AIR_DENSITY;
+        assert!(
+            (thinner - f64::from(gravity / -98.1)).abs() < 1e-6,
+            "{thinner}"
+        );
     }
 }
 

@@ -22,7 +22,7 @@ use drape_dataset::registry::{Effect, GarmentKind};
 use drape_dataset::sequence::{Frame, Garment, SequenceHeader};
 use drape_dataset::{SequenceReader, SequenceWriter};
 use drape_sim::engine::{Engine, EngineSettings, ScenePhysics};
-use drape_sim::scene::{Recipe, simulate};
+use drape_sim::scene::{Recipe, Units, simulate};
 use drape_view::Picture;
 use drape_view::plot::{LinePlot, Series, line_plot};
 use measures::{Gauge, NAMES, Numbers, Skin, mean};
@@ -48,9 +48,15 @@ struct Arguments {
     /// Height of an imported garment's waist band, mm real
     #[arg(long, default_value_t = 16.0)]
     band_mm: f32,
-    /// Times the wind's strength that our engine gets
-    #[arg(long, default_value_t = 1.0)]
-    wind_times: f32,
+    /// Density of the air for our engine, kg/m³; without it that of units "d-layers"
+    #[arg(long)]
+    air: Option<f64>,
+}
+
+impl Arguments {
+    fn air(&self) -> f64 {
+        self.air.unwrap_or(Units::DLayers.air_density())
+    }
 }
 
 fn main() -> Result<()> {
@@ -82,9 +88,7 @@ fn compare(file: &Path, arguments: &Arguments) -> Result<()> {
     let (our_header, ours) = match Recipe::from_json(&header.scene.recipe) {
         Ok(mut recipe) => {
             recipe.engine = settings;
-            for pivot in &mut recipe.wind {
-                pivot.strength *= arguments.wind_times;
-            }
+            recipe.air_density = arguments.air();
             simulate(&recipe, None, |_| ControlFlow::Continue(()))?
         }
         Err(_) => again(&header, &theirs, &settings, arguments)?,
@@ -150,6 +154,7 @@ fn again(
     let physics = ScenePhysics {
         scale: header.scene.scale,
         gravity: header.scene.gravity,
+        air_density: arguments.air(),
         body_friction: header.scene.body_friction,
         effects: header.scene.effects.iter().copied().collect(),
     };
@@ -179,7 +184,6 @@ fn again(
     let mut made = vec![first.clone()];
     for frame in &frames[1..] {
         let mut frame = frame.clone();
-        frame.wind.strength *= arguments.wind_times;
         engine.advance(&frame.body, frame.wind, dt_s)?;
         frame.garments = engine.garments();
         frame.intersections = Some(count_intersections(header, &frame));

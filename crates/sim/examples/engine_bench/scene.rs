@@ -4,7 +4,7 @@ use anyhow::{Context, Result};
 use drape_dataset::registry::{Effect, GarmentKind};
 use drape_dataset::sequence::{Garment, Material, Wind};
 use drape_sim::body::{Body, Shape};
-use drape_sim::engine::ScenePhysics;
+use drape_sim::engine::{AIR_DENSITY, ScenePhysics};
 use drape_sim::garment::{GarmentParameters, Outfit, OutfitRequest, fitting_pose};
 use drape_sim::motion::{LeadIn, Motion, Movement};
 
@@ -111,6 +111,7 @@ impl Scene {
             physics: ScenePhysics {
                 scale: 10.0,
                 gravity: [0.0, 0.0, -98.1],
+                air_density: AIR_DENSITY,
                 body_friction: 60.0,
                 effects: effects.collect(),
             },

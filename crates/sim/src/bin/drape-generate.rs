@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use clap::{Parser, ValueEnum};
+use drape_dataset::registry::Effect;
 use drape_dataset::sequence::{Frame, Intersections, SequenceHeader};
 use drape_dataset::splits::{DatasetIndex, INDEX_FILE, Split};
 use drape_dataset::{SequenceReader, SequenceWriter};
@@ -55,6 +56,10 @@ struct Arguments {
     /// `cargo xtask setup blender` once
     #[arg(long, value_name = "NAME", value_enum, default_value_t = Simulator::Drape)]
     engine: Simulator,
+    /// Force an effect off in all sequences, besides those of the configuration's `engine.without`;
+    /// may be given several times; not with Blender
+    #[arg(long, value_name = "EFFECT")]
+    without: Vec<Effect>,
     /// Sequences simulated at the same time; 0 takes all processor cores
     #[arg(long, value_name = "N", default_value_t = 0)]
     threads: usize,
@@ -129,6 +134,11 @@ fn run(arguments: &Arguments) -> Result<ExitCode> {
          leave one of the two out"
     );
     let config = resolve(arguments)?;
+    ensure!(
+        config.engine.without.is_empty() || arguments.engine == Simulator::Drape,
+        "--without, engine.without: expected --engine drape, whose effects can be forced off one by \
+         one, found --engine blender; leave one of the two out"
+    );
     if arguments.print_config {
         print!("{}", toml::to_string(&config)?);
         return Ok(ExitCode::SUCCESS);
@@ -221,6 +231,7 @@ fn resolve(arguments: &Arguments) -> Result<Config> {
     }
     config.frames = arguments.frames.unwrap_or(config.frames);
     config.seed = arguments.seed.unwrap_or(config.seed);
+    config.engine.without.extend(&arguments.without);
     ensure!(config.frames >= 1, "frames: expected at least 1, found 0");
     ensure!(
         config.attempts >= 1,

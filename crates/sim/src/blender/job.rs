@@ -117,6 +117,7 @@ impl Job<'_> {
         let physics = ScenePhysics {
             scale: self.scale,
             gravity: [0.0; 3],
+            air_density: 0.0,
             body_friction: 0.0,
             effects: BTreeSet::from([Effect::Waistband]),
         };

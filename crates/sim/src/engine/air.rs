@@ -5,26 +5,29 @@
 //! face's normal and the rest. A third of it goes to each corner. One substep
 //! never takes away more than half of the relative velocity, so no wind and no
 //! step size can make the sum overshoot.
+//!
+//! The air's density ρ is the scene's: real air, none in a vacuum, thinner in
+//! units in which everything floats.
 
 use glam::DVec3;
 
 use super::fabric::Fabric;
 use super::state::State;
 
-/// Density of air, kg/m³.
-pub(super) const AIR_DENSITY: f64 = 1.2;
+/// Density of real air, kg/m³.
+pub const AIR_DENSITY: f64 = 1.2;
 /// Drag coefficient of a plate across the flow.
 pub(super) const NORMAL_DRAG: f64 = 1.2;
 /// Drag coefficient along the surface (skin friction of rough cloth).
 pub(super) const TANGENT_DRAG: f64 = 0.05;
 
-/// Velocity change in `h` seconds of a sheet with this areal density, area and
-/// normal in air that moves with velocity `u` relative to it.
+/// Velocity change in `h` seconds of a sheet with this areal density and normal
+/// in air of density `air` that moves with velocity `u` relative to it.
 #[inline]
-pub(super) fn velocity_change(u: DVec3, normal: DVec3, density: f64, h: f64) -> DVec3 {
+pub(super) fn velocity_change(air: f64, u: DVec3, normal: DVec3, density: f64, h: f64) -> DVec3 {
     let speed = u.length();
     let along = u.dot(normal) * normal;
-    let rate = 0.5 * AIR_DENSITY * speed * h / density;
+    let rate = 0.5 * air * speed * h / density;
     let normal_share = (rate * NORMAL_DRAG).min(0.5);
     let tangent_share = (rate * TANGENT_DRAG).min(0.5);
     normal_share * along + tangent_share * (u - along)

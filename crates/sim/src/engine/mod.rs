@@ -67,6 +67,7 @@ use waistband::Waistband;
 
 use crate::error::SimError;
 
+pub use air::AIR_DENSITY;
 pub use material::Cloth;
 pub use settings::{EngineSettings, ScenePhysics};
 pub use wind::{PASCAL_PER_STRENGTH, air_velocity};
@@ -98,6 +99,7 @@ pub struct Engine {
     settings: EngineSettings,
     scale: f64,
     gravity: Option<DVec3>,
+    air_density: f64,
     drag: bool,
     wind: bool,
     friction: bool,
@@ -136,7 +138,7 @@ impl Engine {
         let scale = f64::from(physics.scale);
         let fabric = Fabric::new(garments, scale)?;
         fabric::check_mesh("body", body0, body_faces)?;
-        let has = |effect| physics.calls_for(effect);
+        let has = |effect| physics.calls_for(effect) && !settings.without.contains(&effect);
 
         let cloth = fabric.rest.len();
         let mut x = fabric.rest.clone();
@@ -174,6 +176,7 @@ impl Engine {
             settings: settings.clone(),
             scale,
             gravity: has(Effect::Gravity).then(|| metres(physics.gravity, scale)),
+            air_density: physics.air_density,
             drag: has(Effect::AirDrag),
             wind: has(Effect::Wind),
             friction: has(Effect::Friction),
@@ -224,7 +227,7 @@ impl Engine {
                 dt_s,
             ));
         }
-        let air = air_velocity(wind)?;
+        let wind = air_velocity(wind)?;
 
         let start = self.stopwatch.start();
         let substeps = self.settings.substeps;
@@ -250,7 +253,7 @@ impl Engine {
                 };
             }
             let left = substeps - substep + 1;
-            self.substep(h, left, air, body_velocity, &mut report);
+            self.substep(h, left, wind, body_velocity, &mut report);
         }
         self.check_range()?;
         let sides = self.stopwatch.start();
@@ -286,7 +289,7 @@ impl Engine {
         &mut self,
         h: f64,
         left: u32,
-        air: DVec3,
+        wind: DVec3,
         body_velocity: DVec3,
         report: &mut StepReport,
     ) {
@@ -307,13 +310,13 @@ impl Engine {
         if self.drag {
             passes.count(Effect::AirDrag);
             let start = watch.start();
-            drag::apply(state, fabric, h);
+            drag::apply(state, fabric, self.air_density, h);
             watch.stop(Part::Effect(Effect::AirDrag), start);
         }
         if self.wind {
             passes.count(Effect::Wind);
             let start = watch.start();
-            wind::apply(state, fabric, air, h);
+            wind::apply(state, fabric, self.air_density, wind, h);
             watch.stop(Part::Effect(Effect::Wind), start);
         }
         let start = watch.start();

@@ -14,6 +14,9 @@ pub struct ScenePhysics {
     pub scale: f32,
     /// Acceleration of gravity in units/s².
     pub gravity: [f32; 3],
+    /// Density of the air in kg/m³: drag and wind are in proportion to it. Real air has
+    /// [`AIR_DENSITY`](super::AIR_DENSITY), a vacuum 0.
+    pub air_density: f64,
     /// Friction of the body in the paper's units (40–80).
     pub body_friction: f32,
     /// Effects that the scene calls for. What is not in the set is not computed.
@@ -53,6 +56,9 @@ pub struct EngineSettings {
     pub recovery_m_s: f64,
     /// Speed that no cloth vertex exceeds relative to the body's mean velocity. Default 30.
     pub speed_limit_m_s: f64,
+    /// Effects that are forced off although the scene may call for them; the sequence says so.
+    /// Default none.
+    pub without: BTreeSet<Effect>,
 }
 
 impl Default for EngineSettings {
@@ -70,6 +76,7 @@ impl Default for EngineSettings {
             push_out_m_s: 0.1,
             recovery_m_s: 0.5,
             speed_limit_m_s: 30.0,
+            without: BTreeSet::new(),
         }
     }
 }
@@ -141,6 +148,13 @@ impl ScenePhysics {
                 "gravity",
                 "finite",
                 format!("{:?}", self.gravity),
+            ));
+        }
+        if !(self.air_density.is_finite() && self.air_density >= 0.0) {
+            return Err(SimError::value(
+                "air density",
+                "finite and not negative, in kg/m³",
+                self.air_density,
             ));
         }
         if !(self.body_friction.is_finite() && self.body_friction >= 0.0) {

@@ -4,7 +4,8 @@
 //! face across the wind feels 0.02 Pa per unit, 6 Pa at 300. That is two to
 //! five times the weight of the paper's fabrics and lifts a skirt: a strong
 //! wind. The air's speed follows from the pressure, p = ½ ρ C_n s²: 2.9 m/s at
-//! 300, 10.5 m/s at 4000. The force is that of air with the relative velocity
+//! 300, 10.5 m/s at 4000. In a scene whose air is thinner than real air the speed
+//! is the same and the pressure less, in proportion. The force is that of air with the relative velocity
 //! minus that of still air, so drag stays the business of its own effect and
 //! a strength of 0 changes nothing.
 
@@ -16,7 +17,7 @@ use super::fabric::Fabric;
 use super::state::State;
 use crate::error::SimError;
 
-/// Pressure of one unit of strength on a face across the wind, Pa.
+/// Pressure of one unit of strength on a face across the wind in real air, Pa.
 pub const PASCAL_PER_STRENGTH: f64 = 0.02;
 
 /// Velocity of the air in m/s.
@@ -50,10 +51,10 @@ pub fn air_velocity(wind: Wind) -> Result<DVec3, SimError> {
     Ok(rotation.normalize() * DVec3::Z * speed)
 }
 
-/// Pushes free cloth vertices for `h` seconds.
-pub(super) fn apply(state: &mut State, fabric: &Fabric, air: DVec3, h: f64) {
+/// Pushes free cloth vertices for `h` seconds with air of density `air` and velocity `wind`.
+pub(super) fn apply(state: &mut State, fabric: &Fabric, air: f64, wind: DVec3, h: f64) {
     for_faces(state, fabric, |velocity, normal, density| {
-        velocity_change(air - velocity, normal, density, h)
-            - velocity_change(-velocity, normal, density, h)
+        velocity_change(air, wind - velocity, normal, density, h)
+            - velocity_change(air, -velocity, normal, density, h)
     });
 }

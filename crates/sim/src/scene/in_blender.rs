@@ -28,6 +28,15 @@ pub fn simulate_in_blender(
         return Err(SimError::value("recipe.blender", expected, "none"));
     };
     settings.validate()?;
+    if !recipe.engine.without.is_empty() {
+        let names: Vec<&str> = recipe.engine.without.iter().map(|e| e.name()).collect();
+        let expected = "none: Blender's effects cannot be forced off";
+        return Err(SimError::value(
+            "recipe.engine.without",
+            expected,
+            names.join(", "),
+        ));
+    }
     run(recipe, progress, |stage, header| {
         let asked: Vec<_> = header.garments.iter().map(|g| g.material).collect();
         let shared = SharedMaterials::of(&asked)?;

@@ -3,10 +3,11 @@
 use drape_dataset::sequence::Material;
 use serde::{Deserialize, Serialize};
 
+use super::ranges::Units;
 use super::wind::WindPivot;
 use crate::blender::BlenderSettings;
 use crate::body::Shape;
-use crate::engine::EngineSettings;
+use crate::engine::{AIR_DENSITY, EngineSettings};
 use crate::error::{Result, SimError};
 use crate::garment::GarmentParameters;
 use crate::motion::{LeadIn, Motion};
@@ -36,6 +37,9 @@ pub struct Recipe {
     pub trimmed_layers: bool,
     /// Acceleration of gravity in units/s².
     pub gravity: [f32; 3],
+    /// Density of the air in kg/m³; recipes that do not say it are of real air.
+    #[serde(default = "real_air")]
+    pub air_density: f64,
     /// Movement of the body.
     pub motion: Motion,
     /// Room that limbs keep from the rest of the body; without it the motion stays as it is.
@@ -50,6 +54,10 @@ pub struct Recipe {
     /// Settings of Blender, if it makes the sequence.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub blender: Option<BlenderSettings>,
+}
+
+fn real_air() -> f64 {
+    AIR_DENSITY
 }
 
 fn is_false(x: &bool) -> bool {
@@ -90,9 +98,10 @@ struct MaterialNumbers {
 }
 
 impl Recipe {
-    /// The same scene for Blender, which has a gravity of its own.
+    /// The same scene for Blender, which has a gravity and an air of its own.
     pub fn for_blender(mut self, settings: &BlenderSettings) -> Self {
         self.gravity = settings.acceleration(self.fps);
+        self.air_density = Units::DLayers.air_density();
         self.blender = Some(settings.clone());
         self
     }

@@ -12,7 +12,7 @@ use drape_dataset::sequence::{
 };
 use drape_geometry::intersect::count_within;
 
-use super::effects::active_effects;
+use super::effects::{active_effects, forced_off};
 use super::recipe::{BodyGap, Recipe};
 use super::wind::wind_at;
 use crate::body::{Body, Pose, ShapedBody};
@@ -55,6 +55,7 @@ pub fn simulate(
         let physics = ScenePhysics {
             scale: SCALE,
             gravity: recipe.gravity,
+            air_density: recipe.air_density,
             body_friction: recipe.body_friction,
             effects: header.scene.effects.iter().copied().collect(),
         };
@@ -235,7 +236,7 @@ fn header(recipe: &Recipe, body: &Body, outfit: &Outfit) -> SequenceHeader {
             body_friction: recipe.body_friction,
             metres_per_uv: METRES_PER_UV as f32,
             recipe: recipe.to_json(),
-            warnings: Vec::new(),
+            warnings: forced_off(recipe).into_iter().collect(),
         },
         body: BodyTopology {
             rest: outfit.body.clone(),

@@ -44,6 +44,39 @@ fn what_a_scene_does_not_call_for_never_runs() {
 }
 
 #[test]
+fn an_effect_that_is_forced_off_is_an_effect_not_called_for() {
+    let all = [&USUAL[..], &[Effect::Wind]].concat();
+    for &off in &all {
+        let with = |effects: &[Effect], settings: &EngineSettings| {
+            let body = Body::ball([0.0; 3], 2.0);
+            let garments = [
+                sheet(7, 7, 0.25, 0, |x, y| [x - 0.75, y - 0.6, 2.06]),
+                sheet(7, 7, 0.25, 1, |x, y| [x - 0.8, y - 0.65, 2.15]),
+            ];
+            let scene = physics(effects);
+            let (faces, positions) = (&body.faces, &body.positions);
+            Engine::new(&garments, &[], faces, positions, &scene, settings).unwrap()
+        };
+        let forced = EngineSettings {
+            without: [off].into(),
+            ..EngineSettings::default()
+        };
+        let mut forced = with(&all, &forced);
+        let left: Vec<Effect> = all.iter().copied().filter(|e| *e != off).collect();
+        let mut plain = with(&left, &EngineSettings::default());
+        assert_eq!(run(&mut forced, wind(100.0)), run(&mut plain, wind(100.0)));
+        assert_eq!(forced.passes(off), 0, "{off}");
+        for effect in left {
+            assert_eq!(
+                forced.passes(effect),
+                plain.passes(effect),
+                "{effect} without {off}"
+            );
+        }
+    }
+}
+
+#[test]
 fn one_garment_without_a_body_has_no_contacts_but_its_own() {
     let garment = sheet(4, 4, 0.25, 0, |x, y| [x, y, 0.0]);
     let mut engine = engine(&[garment], &Body::default(), &USUAL);
@@ -76,6 +109,33 @@ fn an_effect_of_size_zero_is_an_effect_not_called_for() {
     let mut windless = dressed_ball(&with_wind, |_| {});
     assert_eq!(calm, run(&mut windless, wind(0.0)));
     assert!(windless.passes(Effect::Wind) > 0);
+
+    let airless = |effects: &[Effect]| {
+        let scene = ScenePhysics {
+            air_density: 0.0,
+            ..physics(effects)
+        };
+        let garment = sheet(5, 5, 0.25, 0, |x, y| [x, y, 0.1 * x * y]);
+        let settings = EngineSettings::default();
+        let mut engine = Engine::new(&[garment], &[], &[], &[], &scene, &settings).unwrap();
+        for _ in 0..4 {
+            engine.advance(&[], wind(200.0), FRAME_S).unwrap();
+        }
+        (bits(&engine), engine)
+    };
+    let in_a_vacuum = airless(&without(Effect::AirDrag)).0;
+    for forced_on in [
+        &USUAL[..],
+        &with_wind,
+        &[&without(Effect::AirDrag)[..], &[Effect::Wind]].concat(),
+    ] {
+        let (forced, engine) = airless(forced_on);
+        assert_eq!(in_a_vacuum, forced, "{forced_on:?}");
+        for effect in [Effect::AirDrag, Effect::Wind] {
+            let asked = forced_on.contains(&effect);
+            assert_eq!(engine.passes(effect) > 0, asked, "{effect}: {forced_on:?}");
+        }
+    }
 
     let weightless = |effects: &[Effect]| {
         let scene = ScenePhysics {

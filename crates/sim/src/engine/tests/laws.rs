@@ -3,7 +3,8 @@
 use glam::DVec3;
 
 use super::*;
-use crate::engine::air::{AIR_DENSITY, NORMAL_DRAG};
+use crate::engine::air::NORMAL_DRAG;
+use crate::scene::Units;
 
 #[test]
 fn cloth_in_a_vacuum_falls_as_a_stone_does() {
@@ -164,6 +165,49 @@ fn cloth_drifts_as_fast_as_the_wind_and_no_faster() {
     }
     assert!(fastest < 1.01 * air.length(), "{fastest}");
     assert!(fastest > 0.8 * air.length(), "{fastest}");
+}
+
+#[test]
+fn in_units_of_d_layers_wind_and_drag_are_blenders_and_as_strong_against_weight_as_in_real_ones() {
+    let edge = 0.263;
+    // Acceleration in units/s² of a sheet across the wind that moves with `speed_m_s` along it.
+    let acceleration = |units: Units, mass: f32, strength: f32, speed_m_s: f64| {
+        let scene = ScenePhysics {
+            air_density: units.air_density(),
+            ..physics(&[Effect::Wind, Effect::AirDrag])
+        };
+        let garment = Garment {
+            material: Material { mass, ..MATERIAL },
+            ..sheet(6, 6, edge, 0, |x, y| [0.0, x, y])
+        };
+        let settings = EngineSettings::default();
+        let mut engine = Engine::new(&[garment], &[], &[], &[], &scene, &settings).unwrap();
+        engine.state.v.fill(DVec3::new(speed_m_s, 0.0, 0.0));
+        let dt_s = 1e-4;
+        engine.advance(&[], wind(strength), dt_s).unwrap();
+        // Inside the sheet: a corner with one face gets half.
+        10.0 * (engine.state.v[14].x - speed_m_s) / dt_s
+    };
+    let vertex_area = f64::from(edge * edge) * 0.75_f64.sqrt();
+    for mass in [0.2, 0.4, 0.8] {
+        for strength in [50.0, 150.0, 400.0] {
+            let [floating, real] =
+                [Units::DLayers, Units::Real].map(|units| acceleration(units, mass, strength, 0.0));
+            let blender = 0.6 * f64::from(strength) * vertex_area / f64::from(mass);
+            assert!(
+                (floating / blender - 1.0).abs() < 0.01,
+                "mass {mass}, strength {strength}: {floating}, Blender's {blender}"
+            );
+            let weights = f64::from(Units::DLayers.gravity() / Units::Real.gravity());
+            // The faster sheet has run a little further from the wind.
+            assert!((floating / real / weights - 1.0).abs() < 0.01);
+        }
+    }
+    let drag_per_s = -acceleration(Units::DLayers, 0.4, 0.0, 1.0) / 10.0;
+    assert!(
+        (drag_per_s / 0.3 - 1.0).abs() < 0.1,
+        "{drag_per_s} per second"
+    );
 }
 
 #[test]

@@ -19,7 +19,7 @@ mod verification;
 use drape_dataset::registry::{Effect, GarmentKind};
 use drape_dataset::sequence::{Garment, Material, Wind};
 
-use super::{Engine, EngineSettings, ScenePhysics};
+use super::{AIR_DENSITY, Engine, EngineSettings, ScenePhysics};
 
 const FRAME_S: f64 = 1.0 / 30.0;
 
@@ -82,6 +82,7 @@ fn physics(effects: &[Effect]) -> ScenePhysics {
     ScenePhysics {
         scale: 10.0,
         gravity: [0.0, 0.0, -98.1],
+        air_density: AIR_DENSITY,
         body_friction: 50.0,
         effects: effects.iter().copied().collect(),
     }
