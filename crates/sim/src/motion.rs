@@ -10,6 +10,7 @@ mod bvh;
 mod clearance;
 mod clip;
 mod family;
+mod knees;
 mod movement;
 
 use glam::{DQuat, DVec3};
