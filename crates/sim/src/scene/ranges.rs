@@ -34,7 +34,8 @@ pub struct SceneRanges {
     /// BVH files with recorded motions; sequences take them and the families in turn.
     pub clips: Vec<PathBuf>,
     /// Gap in metres that limbs keep from the rest of the body: at least 0.004,
-    /// more where cloth lies between; 0 leaves the motions as they are.
+    /// more where cloth lies between; squats then end before thigh and calf close over cloth.
+    /// 0 leaves the motions as they are.
     pub body_gap_m: f64,
     /// Units of time and force.
     pub units: Units,
