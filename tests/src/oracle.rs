@@ -179,6 +179,7 @@ impl Case {
             patch_attributes: Csr::from_pairs(patches, patch_attributes),
             supports: vec![None; kinds.len()],
             rest: vec![[0.0; 3]; vertices],
+            patch_rest: vec![[0.0; 3]; patches],
             kinds,
         };
         let table = inputs.values(&name("mean_std"))?;

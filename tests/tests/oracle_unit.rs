@@ -408,6 +408,7 @@ fn losses_and_their_gradients() {
             patch_attributes: Csr::default(),
             supports: vec![None; 2],
             rest: vec![[0.0; 3]; predicted.len()],
+            patch_rest: Vec::new(),
         };
         let (mut room, mut true_room) = (NormalRoom::default(), NormalRoom::default());
         let normals = MeshNormals::new(&predicted, &garment_faces, &mut room);

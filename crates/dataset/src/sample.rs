@@ -66,6 +66,8 @@ pub struct Outfit {
     pub supports: Vec<Option<Support>>,
     /// Rest positions relative to the support's centre, zeros without one: `[vertex, 3]`.
     pub rest: Vec<[f32; 3]>,
+    /// Mean of `rest` over each patch's vertices: `[patch, 3]`.
+    pub patch_rest: Vec<[f32; 3]>,
 }
 
 impl Outfit {
@@ -127,8 +129,10 @@ impl Outfit {
                 None => [0.0; 3],
             })
         });
+        let rest: Vec<[f32; 3]> = rest.collect();
         Ok(Self {
-            rest: rest.collect(),
+            patch_rest: patches.means(&rest).collect(),
+            rest,
             supports,
             garment_offsets,
             kinds: header.garments.iter().map(|garment| garment.kind).collect(),
@@ -156,6 +160,12 @@ impl Outfit {
         let row = self.patch_attributes.row(patch)[0];
         let (_, low, high) = ATTRIBUTE_RANGES[MASS];
         low + self.attributes[row as usize][MASS] * (high - low)
+    }
+
+    /// Garment of a vertex.
+    pub fn garment_of(&self, vertex: usize) -> usize {
+        let starts = &self.garment_offsets[1..self.garments()];
+        starts.partition_point(|&start| start <= vertex)
     }
 
     /// Number of garments.

@@ -3,7 +3,8 @@
 //!
 //! World edges are those of [`drape_dataset::world_edges`]. Body tokens are the
 //! distinct body vertices that some patch sees, then wind and gravity, which every
-//! patch sees. A vertex takes its motion from at most four patches near it: among the mesh neighbours q of its own patch
+//! patch sees. A vertex takes its motion from at most four patches near it: among
+//! the mesh neighbours q of its own patch
 //! (lowest index), the four nearest, kept if q is the own patch or nearer to the
 //! vertex than to the own patch's centre.
 //! Distances are direct differences in f32. A pass whose subject is absent (no
@@ -86,10 +87,6 @@ pub struct FrameGraph {
     pub own_patch: Vec<u32>,
     /// Vertex mass of each patch's garment.
     pub patch_masses: Vec<f32>,
-    /// Garment of each patch.
-    patch_garments: Vec<u32>,
-    /// Mean rest position of each patch's vertices relative to its garment's support.
-    patch_rests: Vec<[f32; 3]>,
     /// What each garment hangs from, if there is a trend.
     supports: Vec<Option<SupportPose>>,
     room: Room,
@@ -416,13 +413,6 @@ impl FrameGraph {
         }
 
         refill(&mut self.patch_masses, (0..count).map(|p| outfit.mass(p)));
-        let rests = patches.means(&outfit.rest);
-        refill(&mut self.patch_rests, rests);
-        let starts = &outfit.garment_offsets[1..outfit.garments()];
-        let garment = |first: u32| starts.partition_point(|&start| start <= first as usize);
-        let firsts = patches.members.iter().map(|members| members[0]);
-        let garments = firsts.map(|first| garment(first) as u32);
-        refill(&mut self.patch_garments, garments);
         let poses = outfit.supports.iter().map(|support| match support {
             Some(support) if config.trend => support.pose(&step.body, supporting),
             _ => None,
@@ -477,13 +467,14 @@ impl FrameGraph {
         state: &StatePair,
         step: &Step,
     ) -> Motion {
-        let (patch, rest) = (self.own_patch[vertex] as usize, outfit.rest[vertex]);
-        self.motion(patch, rest, &self.vertex_anchors[vertex], state, step)
+        let patch = self.own_patch[vertex] as usize;
+        let (of, rest) = ((patch, outfit.garment_of(vertex)), outfit.rest[vertex]);
+        self.motion(of, rest, &self.vertex_anchors[vertex], state, step)
     }
 
     fn motion(
         &self,
-        patch: usize,
+        (patch, garment): (usize, usize),
         rest: [f32; 3],
         anchor: &Anchor,
         state: &StatePair,
@@ -491,7 +482,7 @@ impl FrameGraph {
     ) -> Motion {
         let velocity = |state: &StatePair| [state[3], state[4], state[5]];
         let change = |state: &StatePair| [0, 1, 2].map(|axis| state[3 + axis] - state[9 + axis]);
-        let support = self.supports[self.patch_garments[patch] as usize];
+        let support = self.supports[garment];
         Motion {
             velocity: velocity(state),
             acceleration: change(state),
@@ -541,8 +532,9 @@ impl FrameGraph {
         }
         for (patch, to) in patches.iter_mut().enumerate() {
             let (state, anchor) = (&self.patch_states[patch], &self.patch_anchors[patch]);
-            let rest = self.patch_rests[patch];
-            *to = trend.acceleration(&self.motion(patch, rest, anchor, state, step));
+            let first = outfit.patches.members.row(patch)[0] as usize;
+            let (of, rest) = ((patch, outfit.garment_of(first)), outfit.patch_rest[patch]);
+            *to = trend.acceleration(&self.motion(of, rest, anchor, state, step));
         }
         for (vertex, to) in vertices.iter_mut().enumerate() {
             let motion = self.vertex_motion(outfit, vertex, &state[vertex], step);

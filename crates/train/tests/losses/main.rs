@@ -75,5 +75,6 @@ fn outfit(inner: usize, outer: usize, faces: Vec<[u32; 3]>) -> Outfit {
         patch_attributes: Csr::default(),
         supports: vec![None; 2],
         rest: vec![[0.0; 3]; inner + outer],
+        patch_rest: Vec::new(),
     }
 }
