@@ -3,9 +3,10 @@
 //! A tube is a straight line, position plus velocity; in each substep a vertex
 //! may deviate by `radius` from the line's step: 1.5 times what it recently
 //! did, between 0.15 and 2 mm. The body moves linearly within a frame, its
-//! tubes have radius 0. A vertex that deviates more is a stray
-//! ([`super::strays`]); one that in all is [`SLACK_M`] out of its tube, a
-//! fraction of every thickness, calls for a new search.
+//! tubes have radius 0. What a vertex deviates beyond that adds up; pairs are
+//! only left out or put to sleep with room for [`SLACK_M`] on both sides, so
+//! until then nothing is lost. A vertex that uses up more is a stray
+//! ([`super::strays`]) and calls for a new search.
 
 use glam::DVec3;
 
@@ -19,6 +20,8 @@ const NARROWEST_M: f64 = 0.15e-3;
 const WIDEST_M: f64 = 2e-3;
 /// A vertex may be this far out of its tube.
 pub(crate) const SLACK_M: f64 = 1.5e-3;
+/// Beyond this it counts as a stray: less than the slack by more than rounding.
+const STRAY_M: f64 = 0.98 * SLACK_M;
 
 /// One vertex's tube.
 #[derive(Clone, Copy, Debug, Default)]
@@ -34,8 +37,8 @@ pub(crate) struct Tube {
 #[derive(Clone, Debug)]
 pub(crate) struct Tubes {
     pub of: Vec<Tube>,
-    /// Positions at the last search.
-    start: Vec<DVec3>,
+    /// Deviation beyond the tube since the last search, m.
+    excess: Vec<f64>,
     /// Recent deviation per substep, m.
     deviation: Vec<f64>,
     /// Substeps since the last search; `None` before the first.
@@ -50,7 +53,7 @@ impl Tubes {
     pub fn new(state: &State) -> Self {
         Self {
             of: vec![Tube::default(); state.x.len()],
-            start: vec![DVec3::ZERO; state.x.len()],
+            excess: vec![0.0; state.cloth],
             deviation: vec![0.3e-3; state.cloth],
             age: None,
             substeps: 0.0,
@@ -79,7 +82,7 @@ impl Tubes {
     /// Lays new tubes for `substeps` along the present velocities.
     pub fn lay(&mut self, state: &State, h: f64, substeps: f64) {
         self.substeps = substeps;
-        self.start.copy_from_slice(&state.x);
+        self.excess.fill(0.0);
         for (tube, v) in self.of.iter_mut().zip(&state.v) {
             tube.step = *v * h;
         }
@@ -112,10 +115,11 @@ impl Tubes {
         }
     }
 
-    /// Whether a cloth vertex deviates further from its line in the present substep than its tube allows.
+    /// Whether a cloth vertex is a stray where the present substep leads it.
     pub fn left(&self, state: &State, i: usize) -> bool {
         let Tube { step, radius } = self.of[i];
-        (state.p[i] - state.x[i]).distance_squared(step) > radius * radius
+        let room = radius + (STRAY_M - self.excess[i]);
+        (state.p[i] - state.x[i]).distance_squared(step) > room * room
     }
 
     /// The way of a cloth vertex in the present substep, with its own tube as
@@ -141,9 +145,8 @@ impl Tubes {
             let tube = &self.of[i];
             let deviation = (state.x[i] - state.p[i]).distance(tube.step);
             self.deviation[i] = self.deviation[i].max(deviation);
-            let line = self.start[i] + count * tube.step;
-            let room = tube.radius * count + SLACK_M;
-            left |= state.x[i].distance_squared(line) > room * room;
+            self.excess[i] += (deviation - tube.radius).max(0.0);
+            left |= self.excess[i] > STRAY_M;
         }
         if left {
             self.trust = 2 * *age;
