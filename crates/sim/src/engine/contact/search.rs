@@ -97,6 +97,20 @@ impl Surface {
     }
 }
 
+/// Share of the thickness that edges keep from each other.
+///
+/// Vertices and faces hold surfaces apart. Edges of two meshes that lie at a distance around a
+/// curve come nearer than that between their ends: at full thickness they would lift the faces.
+const EDGE_SHARE: f64 = 0.7;
+
+/// Distance that features of this kind keep where surfaces keep `thickness`.
+pub(crate) fn kept(features: Features, thickness: f64) -> f64 {
+    match features {
+        Features::VertexFace => thickness,
+        Features::EdgeEdge => EDGE_SHARE * thickness,
+    }
+}
+
 /// Two features, measured, before the effect that asked has judged them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Candidate {
@@ -248,9 +262,9 @@ impl Search<'_> {
         thickness.max(2.0 * SLACK_M)
     }
 
-    /// A sieve for candidates that can come within `thickness` before the next search.
+    /// A sieve for candidates whose surfaces can come within `thickness` before the next search.
     pub fn sieve(&self, features: Features, thickness: f64) -> Sieve<'_> {
-        let reach = self.reach(thickness);
+        let reach = self.reach(kept(features, thickness));
         Sieve::new(&self.surfaces.ways, features, reach, &self.candidates)
     }
 
@@ -265,10 +279,11 @@ impl Search<'_> {
         }
     }
 
-    /// The pair that keeps a candidate on the side where it is; `None` if
-    /// nothing in it can move or if it cannot come within `thickness` before
-    /// the next search.
+    /// The pair that keeps a candidate of surfaces with this thickness on the
+    /// side where it is; `None` if nothing in it can move or if it cannot
+    /// matter before the next search.
     pub fn pair(&self, found: &Candidate, thickness: f64, friction: f64) -> Option<Pair> {
+        let thickness = kept(found.features, thickness);
         let normal = found.separation.d.normalize_or(DVec3::Z);
         let idle = if found.distance > self.reach(thickness) {
             let rate = self.tubes.closing(found.features, found.vertices, normal);
@@ -292,7 +307,7 @@ impl Search<'_> {
         self.is_mobile(found).then(|| Pair {
             vertices: found.vertices,
             features: found.features,
-            thickness: thickness as f32,
+            thickness: kept(found.features, thickness) as f32,
             friction: friction as f32,
             idle: 0,
             normal: -found.separation.d.normalize_or(DVec3::Z),

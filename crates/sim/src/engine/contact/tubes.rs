@@ -1,12 +1,13 @@
 //! Where each vertex can be until the next search: its *tube*.
 //!
 //! A tube is a straight line, position plus velocity; in each substep a vertex
-//! may deviate by `radius` from the line's step: 1.5 times what it recently
-//! did, between 0.15 and 2 mm. The body moves linearly within a frame, its
+//! may deviate by `radius` from the line's step: as much as it recently did,
+//! between 0.1 and 2 mm. The body moves linearly within a frame, its
 //! tubes have radius 0. What a vertex deviates beyond that adds up; pairs are
 //! only left out or put to sleep with room for [`SLACK_M`] on both sides, so
-//! until then nothing is lost. A vertex that uses up more is a stray
-//! ([`super::strays`]) and calls for a new search.
+//! until then nothing is lost. A vertex that uses up more is a stray: it is
+//! looked up in each substep ([`super::strays`]), and many of them call for a
+//! new search.
 
 use glam::DVec3;
 
@@ -15,13 +16,15 @@ use super::tree::MovingBox;
 use crate::engine::state::State;
 
 /// Narrowest growth of a tube, m per substep.
-const NARROWEST_M: f64 = 0.15e-3;
+const NARROWEST_M: f64 = 0.1e-3;
 /// Widest growth of a tube, m per substep.
 const WIDEST_M: f64 = 2e-3;
 /// A vertex may be this far out of its tube.
-pub(crate) const SLACK_M: f64 = 1.5e-3;
+pub(crate) const SLACK_M: f64 = 1.0e-3;
 /// Beyond this it counts as a stray: less than the slack by more than rounding.
 const STRAY_M: f64 = 0.98 * SLACK_M;
+/// One cloth vertex in so many may be a stray before a search comes cheaper than looking them up.
+const FEW: usize = 200;
 
 /// One vertex's tube.
 #[derive(Clone, Copy, Debug, Default)]
@@ -88,7 +91,7 @@ impl Tubes {
         }
         for i in 0..state.cloth {
             self.of[i].radius = if state.w[i] > 0.0 {
-                (1.5 * self.deviation[i]).clamp(NARROWEST_M, WIDEST_M)
+                self.deviation[i].clamp(NARROWEST_M, WIDEST_M)
             } else {
                 NARROWEST_M
             };
@@ -139,16 +142,16 @@ impl Tubes {
         let Some(age) = &mut self.age else { return };
         *age += 1;
         let count = f64::from(*age);
-        let mut left = false;
+        let mut strays = 0;
         for i in 0..state.cloth {
             // Positions have been swapped: `p` is where the substep began.
             let tube = &self.of[i];
             let deviation = (state.x[i] - state.p[i]).distance(tube.step);
             self.deviation[i] = self.deviation[i].max(deviation);
             self.excess[i] += (deviation - tube.radius).max(0.0);
-            left |= self.excess[i] > STRAY_M;
+            strays += usize::from(self.excess[i] > STRAY_M);
         }
-        if left {
+        if strays > state.cloth / FEW {
             self.trust = 2 * *age;
             self.age = None;
         } else if count >= self.substeps {
