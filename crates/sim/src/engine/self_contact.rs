@@ -47,7 +47,7 @@ impl SelfContact {
         for garment in &within.surfaces.garments {
             let mut sieve = within.sieve(vertex, thickness);
             let mut found = |v| take(v, vertex);
-            garment.vertices_and_faces(garment, reach, |v| sieve.put(v, &mut found));
+            garment.own_vertices_and_faces(reach, |v| sieve.put(v, &mut found));
             sieve.finish(&mut found);
             let mut sieve = within.sieve(edge, thickness);
             let mut found = |v| take(v, edge);

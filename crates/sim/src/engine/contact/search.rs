@@ -69,15 +69,11 @@ impl Surface {
         self.edges.refit_within(&longer.edges, begin, end);
     }
 
-    /// Vertices here near faces there that they do not belong to: the vertex, then the face's.
+    /// Vertices here near faces there: the vertex, then the face's.
     pub fn vertices_and_faces(&self, other: &Self, reach: f64, mut found: impl FnMut([u32; 4])) {
         let faces = &other.faces;
         self.vertices
-            .meeting_tree(faces, reach as f32, |[v], [a, b, c]| {
-                if v != a && v != b && v != c {
-                    found([v, a, b, c]);
-                }
-            });
+            .meeting_tree(faces, reach as f32, |[v], [a, b, c]| found([v, a, b, c]));
     }
 
     /// Edges here near edges there: this one's vertices, then the other's.
@@ -87,13 +83,17 @@ impl Surface {
             .meeting_tree(edges, reach as f32, |[a, b], [c, d]| found([a, b, c, d]));
     }
 
+    /// Vertices and faces here near each other without a common vertex.
+    pub fn own_vertices_and_faces(&self, reach: f64, mut found: impl FnMut([u32; 4])) {
+        let faces = &self.faces;
+        self.vertices
+            .meeting_relatives(faces, reach as f32, |[v], [a, b, c]| found([v, a, b, c]));
+    }
+
     /// Edges here near each other without a common vertex.
     pub fn own_edges(&self, reach: f64, mut found: impl FnMut([u32; 4])) {
-        self.edges.meeting_itself(reach as f32, |[a, b], [c, d]| {
-            if a != c && a != d && b != c && b != d {
-                found([a, b, c, d]);
-            }
-        });
+        self.edges
+            .meeting_itself(reach as f32, |[a, b], [c, d]| found([a, b, c, d]));
     }
 }
 

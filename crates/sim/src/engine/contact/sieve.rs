@@ -153,7 +153,7 @@ fn sift_edges(batch: &mut Batch, reach: f32) {
 }
 
 #[inline(always)]
-fn sift_all_faces(batch: &mut Batch, reach: f32) {
+fn sift_all_faces<const WIDE: bool>(batch: &mut Batch, reach: f32) {
     let [_, b, c, d] = &batch.place;
     let [nx, ny, nz] = &mut batch.direction;
     for k in 0..BATCH {
@@ -189,7 +189,7 @@ fn sift_all_faces(batch: &mut Batch, reach: f32) {
 }
 
 #[inline(always)]
-fn sift_all_edges(batch: &mut Batch, reach: f32) {
+fn sift_all_edges<const WIDE: bool>(batch: &mut Batch, reach: f32) {
     let [_, b, c, d] = &batch.place;
     let [nx, ny, nz] = &mut batch.direction;
     for k in 0..BATCH {

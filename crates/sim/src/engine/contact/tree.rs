@@ -12,17 +12,20 @@
 //! same. The tree has no pointers: features are put in an order in which every
 //! aligned run of 8, 64, 512 … of them is compact, once, on start positions,
 //! and levels are stacked on that. Boxes are refitted; single ones can grow.
+//! Features with a common vertex are no candidates: most of what meets within a
+//! garment are neighbours, and eight of them are recognised at once too.
 
 use glam::DVec3;
 
-/// Calls a function compiled for wider registers where the processor has them.
+/// Calls a function compiled for wider registers where the processor has them;
+/// its last generic parameter tells it so.
 macro_rules! widest {
     ($inner:ident<$($N:ident),*>($($name:ident: $type:ty = $value:expr),*)) => {{
         #[cfg(target_arch = "x86_64")]
         {
             #[target_feature(enable = "avx2")]
             fn wide<$(const $N: usize),*>($($name: $type),*) {
-                $inner($($name),*);
+                $inner::<$($N,)* true>($($name),*);
             }
             if is_x86_feature_detected!("avx2") {
                 // SAFETY: the registers were detected on this machine.
@@ -30,7 +33,7 @@ macro_rules! widest {
                 return;
             }
         }
-        $inner($($value),*);
+        $inner::<$($N,)* false>($($value),*);
     }};
 }
 pub(crate) use widest;
@@ -181,22 +184,93 @@ impl Node {
 
     /// Bit of each box that can be met within the limits.
     #[inline(always)]
-    fn met(&self, limits: &Limits) -> u32 {
-        let mut apart = [false; WIDTH];
-        for k in 0..3 {
-            let [low0, low1] = [&self.0[k], &self.0[3 + k]];
-            let [high0, high1] = [&self.0[6 + k], &self.0[9 + k]];
-            let l = &limits.0;
-            for lane in 0..WIDTH {
-                apart[lane] |= (low0[lane] > l[k]) & (low1[lane] > l[3 + k])
-                    | (high0[lane] > l[6 + k]) & (high1[lane] > l[9 + k]);
+    fn met<const WIDE: bool>(&self, limits: &Limits) -> u32 {
+        #[cfg(target_arch = "x86_64")]
+        if WIDE {
+            // SAFETY: only who runs on a machine with these registers is wide.
+            return unsafe { wide::met(&self.0, &limits.0) };
+        }
+        let l = &limits.0;
+        let apart = |lane: usize| {
+            (0..3).any(|k| {
+                let beyond = |c: usize| self.0[c][lane] > l[c];
+                beyond(k) && beyond(3 + k) || beyond(6 + k) && beyond(9 + k)
+            })
+        };
+        (0..WIDTH).fold(0, |met, lane| met | u32::from(!apart(lane)) << lane)
+    }
+}
+
+/// Vertices of the eight features of a node on level 0, corner by corner.
+#[derive(Clone, Copy, Debug)]
+#[repr(align(32))]
+struct Corners<const N: usize>([[u32; WIDTH]; N]);
+
+impl<const N: usize> Corners<N> {
+    fn of(features: &[[u32; N]]) -> Self {
+        let mut corners = [[u32::MAX; WIDTH]; N];
+        for (lane, feature) in features.iter().enumerate() {
+            for (corner, &v) in corners.iter_mut().zip(feature) {
+                corner[lane] = v;
             }
         }
-        let mut met = 0;
-        for lane in 0..WIDTH {
-            met |= u32::from(!apart[lane]) << lane;
+        Self(corners)
+    }
+
+    /// Bit of each feature that has one of these vertices.
+    #[inline(always)]
+    fn having<const M: usize, const WIDE: bool>(&self, vertices: &[u32; M]) -> u32 {
+        #[cfg(target_arch = "x86_64")]
+        if WIDE {
+            // SAFETY: only who runs on a machine with these registers is wide.
+            return unsafe { wide::having(&self.0, vertices) };
         }
-        met
+        let has = |lane: usize| self.0.iter().any(|of| vertices.contains(&of[lane]));
+        (0..WIDTH).fold(0, |having, lane| having | u32::from(has(lane)) << lane)
+    }
+}
+
+/// The innermost comparisons in 256-bit registers: compilers take them apart otherwise.
+#[cfg(target_arch = "x86_64")]
+mod wide {
+    use std::arch::x86_64::{
+        _CMP_GT_OQ, _mm256_and_ps, _mm256_castsi256_ps, _mm256_cmp_ps, _mm256_cmpeq_epi32,
+        _mm256_loadu_ps, _mm256_loadu_si256, _mm256_movemask_ps, _mm256_or_ps, _mm256_or_si256,
+        _mm256_set1_epi32, _mm256_set1_ps, _mm256_setzero_si256,
+    };
+
+    use super::{COORDINATES, EVERY, WIDTH};
+
+    #[inline]
+    #[target_feature(enable = "avx2")]
+    pub(super) fn met(boxes: &[[f32; WIDTH]; COORDINATES], limits: &[f32; COORDINATES]) -> u32 {
+        let beyond = |c: usize| {
+            // SAFETY: eight numbers are there.
+            let place = unsafe { _mm256_loadu_ps(boxes[c].as_ptr()) };
+            _mm256_cmp_ps::<_CMP_GT_OQ>(place, _mm256_set1_ps(limits[c]))
+        };
+        let both = |c: usize| _mm256_and_ps(beyond(c), beyond(c + 3));
+        let low = _mm256_or_ps(_mm256_or_ps(both(0), both(1)), both(2));
+        let high = _mm256_or_ps(_mm256_or_ps(both(6), both(7)), both(8));
+        !_mm256_movemask_ps(_mm256_or_ps(low, high)) as u32 & EVERY
+    }
+
+    #[inline]
+    #[target_feature(enable = "avx2")]
+    pub(super) fn having<const N: usize, const M: usize>(
+        corners: &[[u32; WIDTH]; N],
+        vertices: &[u32; M],
+    ) -> u32 {
+        let mut having = _mm256_setzero_si256();
+        for corner in corners {
+            // SAFETY: eight numbers are there.
+            let of = unsafe { _mm256_loadu_si256(corner.as_ptr().cast()) };
+            for &v in vertices {
+                let same = _mm256_cmpeq_epi32(of, _mm256_set1_epi32(v as i32));
+                having = _mm256_or_si256(having, same);
+            }
+        }
+        _mm256_movemask_ps(_mm256_castsi256_ps(having)) as u32
     }
 }
 
@@ -205,6 +279,8 @@ impl Node {
 pub(crate) struct Tree<const N: usize> {
     /// Features in the tree's order.
     features: Vec<[u32; N]>,
+    /// The same by the nodes of level 0.
+    corners: Vec<Corners<N>>,
     /// Place of each feature in that order.
     place: Vec<u32>,
     /// Level 0 holds the features' boxes, each further one those of the nodes below; the last is one node.
@@ -231,8 +307,11 @@ impl<const N: usize> Tree<N> {
             count = count.div_ceil(WIDTH).max(1);
             levels.push(vec![Node::EMPTY; count]);
         }
+        let features: Vec<[u32; N]> = order.iter().map(|&i| features[i as usize]).collect();
+        let corners = features.chunks(WIDTH).map(Corners::of).collect();
         Self {
-            features: order.iter().map(|&i| features[i as usize]).collect(),
+            features,
+            corners,
             place,
             levels,
         }
@@ -290,7 +369,17 @@ impl<const N: usize> Tree<N> {
         reach: f32,
         found: impl FnMut([u32; N], [u32; M]),
     ) {
-        widest!(descend_both<N, M>(a: &Tree<N> = self, b: &Tree<M> = other, reach: f32 = reach, found: impl FnMut([u32; N], [u32; M]) = found));
+        widest!(descend_both<N, M>(a: &Tree<N> = self, b: &Tree<M> = other, related: bool = false, reach: f32 = reach, found: impl FnMut([u32; N], [u32; M]) = found));
+    }
+
+    /// The same for features of one surface: those with a common vertex are left out.
+    pub fn meeting_relatives<const M: usize>(
+        &self,
+        other: &Tree<M>,
+        reach: f32,
+        found: impl FnMut([u32; N], [u32; M]),
+    ) {
+        widest!(descend_both<N, M>(a: &Tree<N> = self, b: &Tree<M> = other, related: bool = true, reach: f32 = reach, found: impl FnMut([u32; N], [u32; M]) = found));
     }
 
     /// The same within this tree, each two features once.
@@ -312,7 +401,11 @@ impl<const N: usize> Tree<N> {
 }
 
 #[inline(always)]
-fn between((part, whole): (&mut [Vec<Node>], &[Vec<Node>]), begin: f32, end: f32) {
+fn between<const WIDE: bool>(
+    (part, whole): (&mut [Vec<Node>], &[Vec<Node>]),
+    begin: f32,
+    end: f32,
+) {
     const HALF: usize = COORDINATES / 2;
     let nodes = part.iter_mut().flatten();
     for (node, whole) in nodes.zip(whole.iter().flatten()) {
@@ -330,7 +423,11 @@ fn between((part, whole): (&mut [Vec<Node>], &[Vec<Node>]), begin: f32, end: f32
 }
 
 #[inline(always)]
-fn descend<const N: usize>(tree: &Tree<N>, limits: &Limits, mut found: impl FnMut([u32; N])) {
+fn descend<const N: usize, const WIDE: bool>(
+    tree: &Tree<N>,
+    limits: &Limits,
+    mut found: impl FnMut([u32; N]),
+) {
     // At most seven siblings wait on each of the eleven levels that u32 numbers can fill.
     let mut stack = [(0u8, 0u32); 96];
     stack[0].0 = tree.height() as u8;
@@ -338,7 +435,7 @@ fn descend<const N: usize>(tree: &Tree<N>, limits: &Limits, mut found: impl FnMu
     while depth > 0 {
         depth -= 1;
         let (level, index) = stack[depth];
-        let mut met = tree.levels[level as usize][index as usize].met(limits);
+        let mut met = tree.levels[level as usize][index as usize].met::<WIDE>(limits);
         while met != 0 {
             let at = index * WIDTH as u32 + met.trailing_zeros();
             met &= met - 1;
@@ -353,9 +450,10 @@ fn descend<const N: usize>(tree: &Tree<N>, limits: &Limits, mut found: impl FnMu
 }
 
 #[inline(always)]
-fn descend_both<const N: usize, const M: usize>(
+fn descend_both<const N: usize, const M: usize, const WIDE: bool>(
     a: &Tree<N>,
     b: &Tree<M>,
+    related: bool,
     reach: f32,
     mut found: impl FnMut([u32; N], [u32; M]),
 ) {
@@ -372,7 +470,7 @@ fn descend_both<const N: usize, const M: usize>(
             } else {
                 (node_b, node_a.union())
             };
-            let mut met = node.met(&Limits::new(&whole, reach));
+            let mut met = node.met::<WIDE>(&Limits::new(&whole, reach));
             while met != 0 {
                 let lane = met.trailing_zeros();
                 met &= met - 1;
@@ -386,15 +484,18 @@ fn descend_both<const N: usize, const M: usize>(
         }
         // Most nodes that meet do so at their borders: only few boxes matter.
         let mut lanes = match b.around(lb, j) {
-            Some(whole) => node_a.met(&Limits::new(&whole, reach)),
+            Some(whole) => node_a.met::<WIDE>(&Limits::new(&whole, reach)),
             None => EVERY,
         };
         let limits = node_a.limits(reach);
         while lanes != 0 {
             let lane = lanes.trailing_zeros();
             lanes &= lanes - 1;
-            let mut met = node_b.met(&Limits::at(&limits, lane as usize));
+            let mut met = node_b.met::<WIDE>(&Limits::at(&limits, lane as usize));
             let from = i * width + lane;
+            if la == 0 && related && met != 0 {
+                met &= !b.corners[j as usize].having::<N, WIDE>(&a.features[from as usize]);
+            }
             while met != 0 {
                 let to = j * width + met.trailing_zeros();
                 met &= met - 1;
@@ -409,7 +510,7 @@ fn descend_both<const N: usize, const M: usize>(
 }
 
 #[inline(always)]
-fn descend_itself<const N: usize>(
+fn descend_itself<const N: usize, const WIDE: bool>(
     tree: &Tree<N>,
     reach: f32,
     mut found: impl FnMut([u32; N], [u32; N]),
@@ -421,19 +522,22 @@ fn descend_itself<const N: usize>(
         let nodes = &tree.levels[level];
         let (node_i, node_j) = (&nodes[i as usize], &nodes[j as usize]);
         let mut lanes = match tree.around(level, j).filter(|_| i != j) {
-            Some(whole) => node_i.met(&Limits::new(&whole, reach)),
+            Some(whole) => node_i.met::<WIDE>(&Limits::new(&whole, reach)),
             None => EVERY,
         };
         let limits = node_i.limits(reach);
         while lanes != 0 {
             let lane = lanes.trailing_zeros();
             lanes &= lanes - 1;
-            let mut met = node_j.met(&Limits::at(&limits, lane as usize));
+            let mut met = node_j.met::<WIDE>(&Limits::at(&limits, lane as usize));
             if i == j {
                 // Each two once; a node below with itself, a feature not.
                 met &= u32::MAX << (lane + u32::from(level == 0));
             }
             let from = i * width + lane;
+            if level == 0 && met != 0 {
+                met &= !tree.corners[j as usize].having::<N, WIDE>(&tree.features[from as usize]);
+            }
             while met != 0 {
                 let to = j * width + met.trailing_zeros();
                 met &= met - 1;
