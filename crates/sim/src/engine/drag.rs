@@ -1,12 +1,30 @@
 //! Drag of still air on moving cloth.
 
-use super::air::{for_faces, velocity_change};
+use super::air::{Push, velocity_change};
 use super::fabric::Fabric;
 use super::state::State;
 
-/// Slows free cloth vertices for `h` seconds in air of this density.
-pub(super) fn apply(state: &mut State, fabric: &Fabric, air: f64, h: f64) {
-    for_faces(state, fabric, |velocity, normal, density| {
-        velocity_change(air, -velocity, normal, density, h)
-    });
+/// Drag of air with one density.
+#[derive(Clone, Debug)]
+pub(super) struct Drag {
+    air: f64,
+    push: Push,
+}
+
+impl Drag {
+    /// Air of this density, kg/m³.
+    pub fn new(air: f64) -> Self {
+        Self {
+            air,
+            push: Push::default(),
+        }
+    }
+
+    /// Slows free cloth vertices in one substep of `h` seconds, `left` of the frame with it.
+    pub fn apply(&mut self, state: &mut State, fabric: &Fabric, (h, left): (f64, u32)) {
+        let change = |velocity: glam::DVec3, normal, density, seconds| {
+            velocity_change(self.air, -velocity, normal, density, seconds)
+        };
+        self.push.apply(state, fabric, (h, left), change);
+    }
 }

@@ -55,6 +55,7 @@ use glam::DVec3;
 use bending::Bending;
 use body_contact::BodyContact;
 use contact::{Contacts, Moment};
+use drag::Drag;
 use fabric::Fabric;
 use layer_contact::LayerContact;
 use passes::Passes;
@@ -64,6 +65,7 @@ use shear::Shear;
 use state::{State, metres};
 use stretch::Stretch;
 use waistband::Waistband;
+use wind::Blow;
 
 use crate::error::SimError;
 
@@ -99,9 +101,8 @@ pub struct Engine {
     settings: EngineSettings,
     scale: f64,
     gravity: Option<DVec3>,
-    air_density: f64,
-    drag: bool,
-    wind: bool,
+    drag: Option<Drag>,
+    wind: Option<Blow>,
     friction: bool,
     fabric: Fabric,
     names: Vec<String>,
@@ -176,9 +177,8 @@ impl Engine {
             settings: settings.clone(),
             scale,
             gravity: has(Effect::Gravity).then(|| metres(physics.gravity, scale)),
-            air_density: physics.air_density,
-            drag: has(Effect::AirDrag),
-            wind: has(Effect::Wind),
+            drag: has(Effect::AirDrag).then(|| Drag::new(physics.air_density)),
+            wind: has(Effect::Wind).then(|| Blow::new(physics.air_density)),
             friction: has(Effect::Friction),
             names: garments.iter().map(|g| g.name.clone()).collect(),
             stretch: has(Effect::Stretch)
@@ -307,16 +307,16 @@ impl Engine {
             gravity::apply(state, gravity, h);
             watch.stop(Part::Effect(Effect::Gravity), start);
         }
-        if self.drag {
+        if let Some(drag) = &mut self.drag {
             passes.count(Effect::AirDrag);
             let start = watch.start();
-            drag::apply(state, fabric, self.air_density, h);
+            drag.apply(state, fabric, (h, left));
             watch.stop(Part::Effect(Effect::AirDrag), start);
         }
-        if self.wind {
+        if let Some(blow) = &mut self.wind {
             passes.count(Effect::Wind);
             let start = watch.start();
-            wind::apply(state, fabric, self.air_density, wind, h);
+            blow.apply(state, fabric, wind, (h, left));
             watch.stop(Part::Effect(Effect::Wind), start);
         }
         let start = watch.start();

@@ -12,7 +12,7 @@
 use drape_dataset::sequence::Wind;
 use glam::{DQuat, DVec3};
 
-use super::air::{AIR_DENSITY, NORMAL_DRAG, for_faces, velocity_change};
+use super::air::{AIR_DENSITY, NORMAL_DRAG, Push, velocity_change};
 use super::fabric::Fabric;
 use super::state::State;
 use crate::error::SimError;
@@ -51,10 +51,35 @@ pub fn air_velocity(wind: Wind) -> Result<DVec3, SimError> {
     Ok(rotation.normalize() * DVec3::Z * speed)
 }
 
-/// Pushes free cloth vertices for `h` seconds with air of density `air` and velocity `wind`.
-pub(super) fn apply(state: &mut State, fabric: &Fabric, air: f64, wind: DVec3, h: f64) {
-    for_faces(state, fabric, |velocity, normal, density| {
-        velocity_change(air, wind - velocity, normal, density, h)
-            - velocity_change(air, -velocity, normal, density, h)
-    });
+/// Wind in air of one density.
+#[derive(Clone, Debug)]
+pub(super) struct Blow {
+    air: f64,
+    push: Push,
+}
+
+impl Blow {
+    /// Air of this density, kg/m³.
+    pub fn new(air: f64) -> Self {
+        Self {
+            air,
+            push: Push::default(),
+        }
+    }
+
+    /// Pushes free cloth vertices with air of velocity `wind` in one substep of `h` seconds,
+    /// `left` of the frame with it.
+    pub fn apply(
+        &mut self,
+        state: &mut State,
+        fabric: &Fabric,
+        wind: DVec3,
+        (h, left): (f64, u32),
+    ) {
+        let change = |velocity: DVec3, normal, density, seconds| {
+            velocity_change(self.air, wind - velocity, normal, density, seconds)
+                - velocity_change(self.air, -velocity, normal, density, seconds)
+        };
+        self.push.apply(state, fabric, (h, left), change);
+    }
 }
