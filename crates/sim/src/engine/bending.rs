@@ -65,28 +65,20 @@ impl Bending {
     }
 
     /// The one pass of a substep over all hinges.
+    ///
+    /// Implicit in the fold at the end, and in its rate for the damping (Rayleigh, c = τ k):
+    /// λ = −s (C + (τ/h) ΔC) / (1 + s (1 + τ/h) Σ K²/m), s = k h², ΔC what the substep has folded so far.
     pub fn solve(&self, state: &mut State, h: f64) {
+        let damping = self.damping_s / h;
         for hinge in &self.hinges {
             let (bend, along) = hinge.bend(&state.p);
+            let before = along.dot(combine(&gather(&state.x, &hinge.corners), &hinge.weights));
             let s = hinge.stiffness * h * h;
-            let lambda = -s * (bend - hinge.rest) / (1.0 + s * hinge.mobility);
+            let lambda = -s * (bend - hinge.rest + damping * (bend - before))
+                / (1.0 + s * (1.0 + damping) * hinge.mobility);
             for (weight, &v) in hinge.weights.iter().zip(&hinge.corners) {
                 let i = v as usize;
                 state.p[i] += (state.w[i] * lambda * weight) * along;
-            }
-        }
-    }
-
-    /// Slows folding and unfolding for `h` seconds (Rayleigh, on velocities as in [`super::stretch`]).
-    pub fn damp(&self, state: &mut State, h: f64) {
-        for hinge in &self.hinges {
-            let (_, along) = hinge.bend(&state.x);
-            let rate = along.dot(combine(&gather(&state.v, &hinge.corners), &hinge.weights));
-            let c = self.damping_s * hinge.stiffness * h;
-            let impulse = -c * rate / (1.0 + c * hinge.mobility);
-            for (weight, &v) in hinge.weights.iter().zip(&hinge.corners) {
-                let i = v as usize;
-                state.v[i] += (state.w[i] * impulse * weight) * along;
             }
         }
     }

@@ -377,11 +377,6 @@ impl Engine {
         if let Some(contacts) = &mut self.contacts {
             contacts.finish(state, h, watch);
         }
-        if let Some(bending) = &self.bending {
-            let start = watch.start();
-            bending.damp(state, h);
-            watch.stop(Part::Effect(Effect::Bending), start);
-        }
         if let Some(stretch) = &self.stretch {
             let start = watch.start();
             stretch.damp(state, h);
