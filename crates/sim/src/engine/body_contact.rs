@@ -131,20 +131,24 @@ impl BodyContact {
         for v in (0..state.cloth as u32).filter(|&v| free(v) && self.inside[v as usize]) {
             surfaces.body_faces_near(v, within.reach(RESCUE_M), &mut take);
         }
-        near.sort_by_key(|found| found.vertices);
         self.inside.fill(false);
-        for of_one in near.chunk_by(|a, b| a.vertices[0] == b.vertices[0]) {
-            self.cloth_vertex(of_one, within);
+        let order = by_vertex(&near, state.cloth);
+        let vertex = |number: u32| near[number as usize].vertices[0];
+        for of_one in order.chunk_by(|&a, &b| vertex(a) == vertex(b)) {
+            self.cloth_vertex(&near, of_one, within);
         }
         self.near = near;
     }
 
-    /// Pairs of one cloth vertex with the body's faces near it.
-    fn cloth_vertex(&mut self, near: &[Candidate], within: &Search) {
+    /// Pairs of one cloth vertex with the body's faces near it: those of these numbers.
+    fn cloth_vertex(&mut self, near: &[Candidate], of_one: &[u32], within: &Search) {
         let Search {
             surfaces, state, ..
         } = *within;
-        let nearest = near.iter().min_by(|a, b| a.distance.total_cmp(&b.distance));
+        let near = of_one.iter().map(|&number| &near[number as usize]);
+        let nearest = near
+            .clone()
+            .min_by(|a, b| a.distance.total_cmp(&b.distance));
         let Some(nearest) = nearest else {
             return;
         };
@@ -166,9 +170,27 @@ impl BodyContact {
                 self.list.push(pair);
             }
         } else {
-            for pair in near.iter().filter_map(pair) {
+            for pair in near.filter_map(pair) {
                 self.list.push(pair);
             }
         }
     }
+}
+
+/// Numbers of candidates by their first vertex, which is below `vertices`; each one's in the order given.
+fn by_vertex(near: &[Candidate], vertices: usize) -> Vec<u32> {
+    let mut first = vec![0u32; vertices + 1];
+    for found in near {
+        first[found.vertices[0] as usize + 1] += 1;
+    }
+    for v in 0..vertices {
+        first[v + 1] += first[v];
+    }
+    let mut order = vec![0; near.len()];
+    for (number, found) in near.iter().enumerate() {
+        let at = &mut first[found.vertices[0] as usize];
+        order[*at as usize] = number as u32;
+        *at += 1;
+    }
+    order
 }
