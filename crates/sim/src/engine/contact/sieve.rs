@@ -30,13 +30,15 @@ type Row = [f32; BATCH];
 
 /// Where each vertex is and may be: what the sieve reads of it lies together.
 #[derive(Clone, Copy, Debug, Default)]
-#[repr(align(32))]
+#[repr(C, align(32))]
 struct Way {
     place: [f32; 3],
     /// Radius of the tube at its end, m.
     radius: f32,
     /// To the place at the end of the tube.
     along: [f32; 3],
+    /// Fills up to eight numbers.
+    _pad: f32,
 }
 
 /// Ways of all vertices for the coming stretch.
@@ -50,6 +52,7 @@ impl Ways {
             place: x.as_vec3().to_array(),
             radius: (substeps * tube.radius) as f32,
             along: (substeps * tube.step).as_vec3().to_array(),
+            _pad: 0.0,
         };
         self.0.clear();
         self.0.extend(state.x.iter().zip(&tubes.of).map(way));
@@ -112,8 +115,8 @@ impl<'a> Sieve<'a> {
 
     fn shake(&mut self, passed: &mut impl FnMut([u32; 4])) {
         self.count.set(self.count.get() + self.waiting.len() as u64);
-        self.gather();
         let (batch, reach) = (&mut *self.batch, self.reach);
+        gather(batch, &self.ways.0, &self.waiting);
         match self.features {
             Features::VertexFace => sift_faces(batch, reach),
             Features::EdgeEdge => sift_edges(batch, reach),
@@ -127,20 +130,109 @@ impl<'a> Sieve<'a> {
         }
         self.waiting.clear();
     }
+}
 
-    fn gather(&mut self) {
-        let batch = &mut *self.batch;
-        for (k, vertices) in self.waiting.iter().enumerate() {
-            let origin = self.ways.0[vertices[0] as usize].place;
-            for (i, &v) in vertices.iter().enumerate() {
-                let way = &self.ways.0[v as usize];
-                for c in 0..3 {
-                    batch.place[i][c][k] = way.place[c] - origin[c];
-                    batch.along[i][c][k] = way.along[c];
-                }
-                batch.radius[i][k] = way.radius;
+fn gather(batch: &mut Batch, ways: &[Way], waiting: &[[u32; 4]]) {
+    widest!(gather_all<>(batch: &mut Batch = batch, ways: &[Way] = ways, waiting: &[[u32; 4]] = waiting));
+}
+
+/// Candidates whose numbers are turned from rows into columns at once.
+const EIGHT: usize = 8;
+
+#[inline(always)]
+fn gather_all<const WIDE: bool>(batch: &mut Batch, ways: &[Way], waiting: &[[u32; 4]]) {
+    for (number, eight) in waiting.chunks(EIGHT).enumerate() {
+        let at = EIGHT * number;
+        for i in 0..4 {
+            // Where nobody waits, the first one stands in.
+            let way = |k: usize| &ways[eight.get(k).unwrap_or(&eight[0])[i] as usize];
+            let columns = transposed::<WIDE>(std::array::from_fn(way));
+            for (c, column) in columns.iter().enumerate() {
+                let row = match c {
+                    0..3 => &mut batch.place[i][c],
+                    3 => &mut batch.radius[i],
+                    4..7 => &mut batch.along[i][c - 4],
+                    _ => continue,
+                };
+                row[at..at + EIGHT].copy_from_slice(column);
             }
         }
+        for c in 0..3 {
+            let [first, others @ ..] = &mut batch.place;
+            let origin = &mut first[c][at..at + EIGHT];
+            for place in others {
+                for (x, o) in place[c][at..at + EIGHT].iter_mut().zip(&*origin) {
+                    *x -= o;
+                }
+            }
+            origin.fill(0.0);
+        }
+    }
+}
+
+/// Numbers of eight ways, each kind together: place, radius, along.
+#[inline(always)]
+fn transposed<const WIDE: bool>(of: [&Way; EIGHT]) -> [[f32; EIGHT]; EIGHT] {
+    #[cfg(target_arch = "x86_64")]
+    if WIDE {
+        // SAFETY: only who runs on a machine with these registers is wide.
+        return unsafe { wide::transposed(of) };
+    }
+    let mut columns = [[0.0; EIGHT]; EIGHT];
+    for (k, way) in of.into_iter().enumerate() {
+        let [x, y, z] = way.place;
+        let [u, v, w] = way.along;
+        let numbers = [x, y, z, way.radius, u, v, w];
+        for (column, number) in columns.iter_mut().zip(numbers) {
+            column[k] = number;
+        }
+    }
+    columns
+}
+
+#[cfg(target_arch = "x86_64")]
+mod wide {
+    use std::arch::x86_64::{
+        __m256, _mm256_loadu_ps, _mm256_permute2f128_ps, _mm256_shuffle_ps, _mm256_storeu_ps,
+        _mm256_unpackhi_ps, _mm256_unpacklo_ps,
+    };
+
+    use super::{EIGHT, Way};
+
+    #[inline]
+    #[target_feature(enable = "avx2")]
+    pub(super) fn transposed(of: [&Way; EIGHT]) -> [[f32; EIGHT]; EIGHT] {
+        // SAFETY: a way is eight numbers.
+        let r: [__m256; EIGHT] =
+            of.map(|way| unsafe { _mm256_loadu_ps(std::ptr::from_ref(way).cast()) });
+        let pairs = |a: usize, b: usize| {
+            let (low, high) = (
+                _mm256_unpacklo_ps(r[a], r[b]),
+                _mm256_unpackhi_ps(r[a], r[b]),
+            );
+            (low, high)
+        };
+        let quads = |(low, high): (__m256, __m256), (low2, high2): (__m256, __m256)| {
+            [
+                _mm256_shuffle_ps::<0x44>(low, low2),
+                _mm256_shuffle_ps::<0xee>(low, low2),
+                _mm256_shuffle_ps::<0x44>(high, high2),
+                _mm256_shuffle_ps::<0xee>(high, high2),
+            ]
+        };
+        let first = quads(pairs(0, 1), pairs(2, 3));
+        let second = quads(pairs(4, 5), pairs(6, 7));
+        let mut columns = [[0.0; EIGHT]; EIGHT];
+        for c in 0..4 {
+            let low = _mm256_permute2f128_ps::<0x20>(first[c], second[c]);
+            let high = _mm256_permute2f128_ps::<0x31>(first[c], second[c]);
+            // SAFETY: eight numbers have room.
+            unsafe {
+                _mm256_storeu_ps(columns[c].as_mut_ptr(), low);
+                _mm256_storeu_ps(columns[c + 4].as_mut_ptr(), high);
+            }
+        }
+        columns
     }
 }
 
