@@ -121,7 +121,7 @@ impl Tubes {
     /// Whether a cloth vertex is a stray where the present substep leads it.
     pub fn left(&self, state: &State, i: usize) -> bool {
         let Tube { step, radius } = self.of[i];
-        let room = radius + (STRAY_M - self.excess[i]);
+        let room = (radius + STRAY_M - self.excess[i]).max(0.0);
         (state.p[i] - state.x[i]).distance_squared(step) > room * room
     }
 
@@ -157,5 +157,67 @@ impl Tubes {
         } else if count >= self.substeps {
             self.trust = self.trust.saturating_mul(2);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A vertex at rest with its tube, laid for `substeps`.
+    fn resting(substeps: f64) -> (State, Tubes) {
+        let state = State {
+            x: vec![DVec3::ZERO; 400],
+            p: vec![DVec3::ZERO; 400],
+            v: vec![DVec3::ZERO; 400],
+            w: vec![1.0; 400],
+            cloth: 400,
+        };
+        let mut tubes = Tubes::new(&state);
+        tubes.lay(&state, 1e-3, substeps);
+        (state, tubes)
+    }
+
+    /// Moves the first vertex by this much in a substep; whether it was a stray on the way.
+    fn step(state: &mut State, tubes: &mut Tubes, by: f64) -> bool {
+        state.p.clone_from(&state.x);
+        state.p[0].x += by;
+        let stray = tubes.left(state, 0);
+        state.finish(1e-3);
+        tubes.observe(state);
+        stray
+    }
+
+    #[test]
+    fn who_has_used_up_the_slack_is_a_stray_until_the_next_search() {
+        let (mut state, mut tubes) = resting(20.0);
+        let radius = tubes.of[0].radius;
+        // Within the tube nothing is used up, however often.
+        for _ in 0..5 {
+            assert!(!step(&mut state, &mut tubes, 0.99 * radius));
+        }
+        // Three times a little more than a third of the slack.
+        let more = radius + 0.36 * SLACK_M;
+        assert!(!step(&mut state, &mut tubes, more));
+        assert!(!step(&mut state, &mut tubes, -more));
+        assert!(step(&mut state, &mut tubes, more));
+        // From then on every move is one too many.
+        for by in [1e-5, -1e-5, radius, 0.4 * SLACK_M, 2e-3] {
+            assert!(step(&mut state, &mut tubes, by), "{by} m");
+        }
+        assert!(!tubes.expired(), "one vertex of 400 is no reason to search");
+        tubes.lay(&state, 1e-3, 5.0);
+        assert!(!step(&mut state, &mut tubes, 0.99 * radius));
+    }
+
+    #[test]
+    fn many_strays_call_for_a_search() {
+        let (mut state, mut tubes) = resting(20.0);
+        for (i, p) in state.p.iter_mut().enumerate() {
+            p.x = if i < 3 { 3e-3 } else { 0.0 };
+        }
+        state.finish(1e-3);
+        tubes.observe(&state);
+        assert!(tubes.expired());
     }
 }
