@@ -206,6 +206,7 @@ mod tests {
             assert!(step(&mut state, &mut tubes, by), "{by} m");
         }
         assert!(!tubes.expired(), "one vertex of 400 is no reason to search");
+        state.v.fill(DVec3::ZERO);
         tubes.lay(&state, 1e-3, 5.0);
         assert!(!step(&mut state, &mut tubes, 0.99 * radius));
     }
