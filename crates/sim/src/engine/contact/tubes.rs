@@ -121,8 +121,9 @@ impl Tubes {
     /// Whether a cloth vertex is a stray where the present substep leads it.
     pub fn left(&self, state: &State, i: usize) -> bool {
         let Tube { step, radius } = self.of[i];
-        let room = (radius + STRAY_M - self.excess[i]).max(0.0);
-        (state.p[i] - state.x[i]).distance_squared(step) > room * room
+        let spare = STRAY_M - self.excess[i];
+        let room = radius + spare;
+        spare < 0.0 || (state.p[i] - state.x[i]).distance_squared(step) > room * room
     }
 
     /// The way of a cloth vertex in the present substep, with its own tube as
