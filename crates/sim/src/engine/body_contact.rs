@@ -19,7 +19,7 @@ const POKE_M: f64 = 0.01;
 #[derive(Clone, Debug)]
 pub(super) struct BodyContact {
     pub list: PairList,
-    thickness: f64,
+    pub thickness: f64,
     friction: f64,
     /// Cloth vertices that were inside the body at the last search.
     pub inside: Vec<bool>,

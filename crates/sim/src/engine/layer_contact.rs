@@ -19,7 +19,7 @@ const RESCUE_M: f64 = 0.008;
 #[derive(Clone, Debug)]
 pub(super) struct LayerContact {
     pub list: PairList,
-    thickness: f64,
+    pub thickness: f64,
     /// Whether garments cross at present.
     pub recovering: bool,
     /// Pairs that hold only if none of their vertices is on the wrong side.

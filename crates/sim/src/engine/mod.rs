@@ -198,6 +198,15 @@ impl Engine {
         Ok(engine)
     }
 
+    /// Lets distances be larger from now on: as much as [`EngineSettings::warm_up_times`] says
+    /// with a share of 1, not at all with 0. Meant for frames before the first one that counts.
+    pub fn warm_up(&mut self, share: f64) {
+        let times = 1.0 + (self.settings.warm_up_times - 1.0) * share.clamp(0.0, 1.0);
+        if let Some(contacts) = &mut self.contacts {
+            contacts.keep(&self.settings, times);
+        }
+    }
+
     /// Moves the body linearly to `body_next` within `dt_s` seconds, and the cloth with it.
     ///
     /// # Errors

@@ -14,7 +14,7 @@ const REST_SHARE: f64 = 0.7;
 #[derive(Clone, Debug)]
 pub(super) struct SelfContact {
     pub list: PairList,
-    thickness: f64,
+    pub thickness: f64,
 }
 
 impl SelfContact {

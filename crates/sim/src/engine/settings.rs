@@ -44,6 +44,9 @@ pub struct EngineSettings {
     pub layer_thickness_m: f64,
     /// Distance within a garment, never more than 0.7 of the distance at rest. Default 0.003.
     pub self_thickness_m: f64,
+    /// While the engine warms up, all these distances are up to so many times as large: layers
+    /// that were made close to each other part first. 1: no warm-up. Default 2.
+    pub warm_up_times: f64,
     /// Damping of stretch: time constant of strain rates. Larger: calmer, more sluggish
     /// wrinkles. Default 0.03: woven cloth loses most of a vibration's energy within a frame.
     pub stretch_damping_s: f64,
@@ -71,6 +74,7 @@ impl Default for EngineSettings {
             body_thickness_m: 0.004,
             layer_thickness_m: 0.003,
             self_thickness_m: 0.003,
+            warm_up_times: 2.0,
             stretch_damping_s: 0.03,
             bending_damping_s: 0.2,
             push_out_m_s: 0.1,
@@ -107,6 +111,10 @@ impl EngineSettings {
             if !(found > 0.0 && found <= 0.05) {
                 return Err(SimError::value(name, "above 0 and at most 0.05 m", found));
             }
+        }
+        if !(1.0..=10.0).contains(&self.warm_up_times) {
+            let found = self.warm_up_times;
+            return Err(SimError::value("warm_up_times", "1 to 10", found));
         }
         let others = [
             ("stretch_damping_s", self.stretch_damping_s),

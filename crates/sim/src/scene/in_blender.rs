@@ -62,6 +62,9 @@ pub fn simulate_in_blender(
 }
 
 impl Mover for Run {
+    /// Blender warms up by itself.
+    fn warm_up(&mut self, _: f64) {}
+
     /// Blender knows the way already.
     fn advance(&mut self, _: &[[f32; 3]], _: Wind, _: f64) -> Result<()> {
         Self::advance(self)

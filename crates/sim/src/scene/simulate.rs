@@ -1,8 +1,9 @@
 //! From a recipe to a sequence.
 //!
 //! The garments are made on the body in the fitting pose and hang for the
-//! still frames of the lead-in; then the body eases into its motion; only then
-//! frames are recorded, each with its intersections counted.
+//! still frames of the lead-in, while the engine warms up: distances start out
+//! large and shrink to what they are. Then the body eases into its motion; only
+//! then frames are recorded, each with its intersections counted.
 
 use std::ops::ControlFlow;
 
@@ -75,6 +76,9 @@ pub fn simulate(
 
 /// What moves the garments of a scene on its body.
 pub(super) trait Mover {
+    /// The next frame is one of the still ones, with this share of them to come after it.
+    fn warm_up(&mut self, share: f64);
+
     /// Goes on to the next frame, in which the body is there.
     fn advance(&mut self, body: &[[f32; 3]], wind: Wind, dt_s: f64) -> Result<()>;
 
@@ -83,6 +87,10 @@ pub(super) trait Mover {
 }
 
 impl Mover for Engine {
+    fn warm_up(&mut self, share: f64) {
+        Self::warm_up(self, share);
+    }
+
     fn advance(&mut self, body: &[[f32; 3]], wind: Wind, dt_s: f64) -> Result<()> {
         Self::advance(self, body, wind, dt_s).map(|_| ())
     }
@@ -181,6 +189,9 @@ pub(super) fn run<M: Mover>(
     for (number, pose) in poses.iter().enumerate() {
         let positions = shaped.pose(pose);
         let wind = stage.wind(number);
+        if number < lead.still {
+            mover.warm_up(1.0 - (number + 1) as f64 / lead.still as f64);
+        }
         mover.advance(&positions, wind, 1.0 / fps)?;
         if number >= first {
             crossed_body += u32::from(count_within(&positions, body.faces()) > at_rest);

@@ -93,6 +93,20 @@ impl Contacts {
         })
     }
 
+    /// Keeps so many times the distances of the settings from the next search on.
+    pub fn keep(&mut self, settings: &EngineSettings, times: f64) {
+        if let Some(body) = &mut self.body {
+            body.thickness = times * settings.body_thickness_m;
+        }
+        if let Some(layer) = &mut self.layer {
+            layer.thickness = times * settings.layer_thickness_m;
+        }
+        if let Some(own) = &mut self.own {
+            own.thickness = times * settings.self_thickness_m;
+        }
+        self.tubes.expire();
+    }
+
     /// The body changes its velocity: old tubes do not hold.
     pub fn begin_frame(&mut self) {
         self.tubes.expire();

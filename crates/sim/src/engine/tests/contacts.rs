@@ -133,3 +133,31 @@ fn layers_at_rest_are_still() {
     let jitter_mm = 100.0 * (sum / count).sqrt();
     assert!(jitter_mm < 0.2, "{jitter_mm} mm");
 }
+
+#[test]
+fn layers_part_while_the_engine_warms_up_and_stay_where_they_are_after_it() {
+    let garments = [0, 1].map(|layer| {
+        let z = 0.04 * layer as f32;
+        sheet(9, 9, 0.25, layer, move |x, y| [x, y, z])
+    });
+    let far = Body::ball([0.0, 0.0, -50.0], 2.0);
+    let effects = [Effect::LayerContact, Effect::Stretch];
+    let gap_mm = |shares: &[f64]| {
+        let mut engine = engine(&garments, &far, &effects);
+        for &share in shares {
+            engine.warm_up(share);
+            engine
+                .advance(&far.positions, Wind::default(), FRAME_S)
+                .unwrap();
+        }
+        let [lower, upper] = [0, 1].map(|layer| engine.garments()[layer].clone());
+        let gaps = lower.iter().zip(&upper).map(|(a, b)| 100.0 * (b[2] - a[2]));
+        gaps.fold(f32::INFINITY, f32::min)
+    };
+    // 4 mm at the start; 3 mm is the distance between layers, twice that while warming up.
+    assert!((gap_mm(&[0.0; 6]) - 4.0).abs() < 1e-3);
+    assert!((gap_mm(&[1.0; 6]) - 6.0).abs() < 0.1);
+    let half = gap_mm(&[0.5; 6]);
+    assert!((half - 4.5).abs() < 0.1, "{half} mm");
+    assert!((gap_mm(&[1.0, 1.0, 0.5, 0.0, 0.0]) - 6.0).abs() < 0.2);
+}
