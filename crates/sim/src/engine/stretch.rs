@@ -57,8 +57,10 @@ impl Stretch {
                 lambda: 0.0,
             }
         };
-        let order = by_rounds(fabric.rest.len(), &fabric.edges);
-        let springs = order.iter().map(|&number| spring(number as usize));
+        let down = downwards(fabric);
+        let edges: Vec<[u32; 2]> = down.iter().map(|&n| fabric.edges[n as usize]).collect();
+        let order = by_rounds(fabric.rest.len(), &edges);
+        let springs = order.iter().map(|&at| spring(down[at as usize] as usize));
         Self {
             springs: springs.collect(),
             damping_s,
@@ -122,6 +124,20 @@ impl Stretch {
             }
         }
     }
+}
+
+/// Numbers of the edges from the highest down.
+fn downwards(fabric: &Fabric) -> Vec<u32> {
+    let key = |number: u32| {
+        let [a, b] = fabric.edges[number as usize].map(|v| fabric.rest[v as usize].z);
+        (a.max(b), a.min(b))
+    };
+    let mut order: Vec<u32> = (0..fabric.edges.len() as u32).collect();
+    order.sort_by(|&m, &n| {
+        let (one, other) = (key(m), key(n));
+        other.0.total_cmp(&one.0).then(other.1.total_cmp(&one.1))
+    });
+    order
 }
 
 impl Spring {
