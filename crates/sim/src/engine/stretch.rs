@@ -89,9 +89,10 @@ impl Stretch {
             }
             let error = length - spring.rest;
             let s = spring.stiffness(error) * h * h;
-            let lambda = -(s * error + spring.lambda) / (1.0 + s * (wi + wj));
-            spring.lambda += lambda;
-            let push = (lambda / length) * d;
+            // λ per length, for a single division.
+            let share = -(s * error + spring.lambda) / ((1.0 + s * (wi + wj)) * length);
+            spring.lambda += share * length;
+            let push = share * d;
             state.p[i] += wi * push;
             state.p[j] -= wj * push;
         }

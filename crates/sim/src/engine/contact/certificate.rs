@@ -185,7 +185,7 @@ fn gap(pair: &Pair, n: DVec3, x: &[DVec3]) -> f64 {
 }
 
 /// Whether one plane's normal separates the pair at both ends of the substep.
-fn separated(pair: &Pair, state: &State) -> bool {
+pub(crate) fn separated(pair: &Pair, state: &State) -> bool {
     let apart = |n: DVec3| gap(pair, n, &state.x) > 0.0 && gap(pair, n, &state.p) > 0.5 * FLOOR_M;
     if apart(pair.normal) {
         return true;

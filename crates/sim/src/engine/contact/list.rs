@@ -2,6 +2,7 @@
 
 use std::time::{Duration, Instant};
 
+use super::certificate::separated;
 use super::pair::{Pair, idle};
 use super::solve::{self, Contact, PushOut};
 use super::tubes::Tubes;
@@ -86,6 +87,14 @@ impl PairList {
             }
         }
         self.awake.truncate(kept);
+    }
+
+    /// Keeps in mind which of the pairs looked at may have crossed in this substep.
+    pub fn doubt(&mut self, state: &State) {
+        for &number in &self.clean {
+            let pair = &mut self.pairs[number as usize];
+            pair.doubtful = !separated(pair, state);
+        }
     }
 
     /// One solver pass.

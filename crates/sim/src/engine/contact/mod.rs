@@ -194,14 +194,11 @@ impl Contacts {
             watch.stop(Part::Certificate, start);
             let start = watch.start();
             let strays = self.strays(state);
-            if strays.is_empty() {
+            if strays.is_empty() || round == STRAY_ROUNDS {
                 watch.stop(Part::Strays, start);
-                return total;
-            }
-            if round == STRAY_ROUNDS {
                 // Somebody moved after the last look: not certified, if not wrong either.
                 total.left += strays.len() as u32;
-                return total;
+                break;
             }
             let wanted = Wanted {
                 body: self.body.as_ref().map(|body| &body.inside[..]),
@@ -218,6 +215,9 @@ impl Contacts {
             );
             total.found = found.len() as u64;
             watch.stop(Part::Strays, start);
+        }
+        if total.left > 0 {
+            self.lists_mut().for_each(|(_, list)| list.doubt(state));
         }
         total
     }

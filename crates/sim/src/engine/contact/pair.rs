@@ -2,10 +2,12 @@
 //! next search.
 //!
 //! The separation of a pair is D = Σ w_k x_k, from the closest point of the
-//! second feature to that of the first. Its normal n remembers the side: it is
-//! turned so that it never jumps by more than 90° between two looks, so a
-//! vertex that was pushed through a face has a negative gap instead of a
-//! fresh start on the wrong side.
+//! second feature to that of the first, its gap the length of D. Features that
+//! were certified have not crossed, however D may have turned: a vertex can go
+//! around the edge of a face. A pair in doubt, one that has to be brought back
+//! or whose certificate failed, remembers its side: its normal never jumps by
+//! more than 90° between two looks, so what was pushed through has a negative
+//! gap instead of a fresh start on the wrong side, until it has come back.
 
 use drape_geometry::closest::point_triangle;
 use glam::DVec3;
@@ -52,6 +54,8 @@ pub(crate) struct Pair {
     pub idle: u32,
     /// Normal at the last look.
     pub normal: DVec3,
+    /// Whether the features may have crossed.
+    pub doubtful: bool,
 }
 
 /// Closest points of a pair.
@@ -182,24 +186,28 @@ impl Pair {
             friction: 0.0,
             idle: 0,
             normal,
+            doubtful: false,
         })
     }
 
-    /// Gap along the remembered normal, which is brought up to date.
+    /// Gap along the normal, which is brought up to date.
     pub fn look(&mut self, x: &[DVec3]) -> (Separation, f64) {
         let separation = separation(self.features, self.vertices, x);
         let distance = separation.d.length();
-        let (mut normal, mut gap) = if distance > SAME_M {
-            (separation.d / distance, distance)
+        let touching = distance <= SAME_M;
+        let mut normal = if touching {
+            // The common normal of both features, if they have one.
+            self.geometric_normal(x).unwrap_or(self.normal)
         } else {
-            // Touching: the common normal of both features, if they have one.
-            (self.geometric_normal(x).unwrap_or(self.normal), distance)
+            separation.d / distance
         };
-        if normal.dot(self.normal) < 0.0 {
+        let mut gap = distance;
+        if (self.doubtful || touching) && normal.dot(self.normal) < 0.0 {
             normal = -normal;
-            gap = -gap;
+            gap = if touching { gap } else { -gap };
         }
         self.normal = normal;
+        self.doubtful &= gap <= 0.0;
         (separation, gap)
     }
 
@@ -272,6 +280,36 @@ mod tests {
                 assert!(error < 1e-9, "{c} {d}: {error}");
             }
         }
+    }
+
+    #[test]
+    fn who_goes_around_an_edge_keeps_its_gap_and_who_may_have_crossed_its_side() {
+        // A face in the plane z = 0 and a vertex that passes its side y = 0 from above to below.
+        let face = [DVec3::ZERO, DVec3::X, DVec3::new(0.5, 1.0, 0.0)];
+        let x = |y: f64, z: f64| [DVec3::new(0.5, y, z), face[0], face[1], face[2]];
+        let pair = |doubtful| Pair {
+            vertices: [0, 1, 2, 3],
+            features: Features::VertexFace,
+            thickness: 0.003,
+            friction: 0.0,
+            idle: 0,
+            normal: DVec3::Z,
+            doubtful,
+        };
+        let mut sure = pair(false);
+        for (y, z) in [(-1e-4, 1e-3), (-1e-4, -1e-3), (1e-4, -1e-3)] {
+            let (_, gap) = sure.look(&x(y, z));
+            assert!(gap > 0.0, "{gap} at {y}, {z}");
+        }
+        assert!(sure.normal.z < -0.9);
+        // The same places, but it may have gone through: then it is on the wrong side till it is back.
+        let mut in_doubt = pair(true);
+        for (y, z) in [(0.1, -1e-3), (1e-4, -1e-3)] {
+            let (_, gap) = in_doubt.look(&x(y, z));
+            assert!(gap < 0.0 && in_doubt.doubtful, "{gap} at {y}, {z}");
+        }
+        let (_, gap) = in_doubt.look(&x(0.1, 1e-3));
+        assert!(gap > 0.0 && !in_doubt.doubtful);
     }
 
     #[test]

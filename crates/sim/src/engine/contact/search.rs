@@ -40,6 +40,9 @@ pub(crate) struct Surfaces {
     frame: Option<u32>,
     whole_frame: Surface,
     body_faces: Vec<[u32; 3]>,
+    /// What boxes are relative to, so that they are as exact far away: where a vertex was when the
+    /// frame began.
+    pub origin: DVec3,
     /// Boxes around the tubes, one per vertex.
     boxes: Vec<MovingBox>,
     /// The tubes as the sieve wants them.
@@ -139,6 +142,7 @@ impl Surfaces {
             body,
             frame: None,
             body_faces,
+            origin: DVec3::ZERO,
             boxes: vec![MovingBox::EMPTY; x.len()],
             ways: Ways::default(),
             normals: vec![DVec3::ZERO; x.len()],
@@ -209,11 +213,16 @@ impl Surfaces {
         left: u32,
     ) {
         self.measure_normals(fabric, state);
-        self.ways.lay(state, tubes, substeps);
+        if self.frame.is_none() {
+            // The last vertex is one of the body, if there is one.
+            self.origin = state.x.last().copied().unwrap_or_default();
+        }
+        let origin = self.origin;
+        self.ways.lay(state, tubes, substeps, origin);
         let fit = |vertex: usize, substeps: f64| {
             let tube = &tubes.of[vertex];
-            let end = state.x[vertex] + substeps * tube.step;
-            MovingBox::of(state.x[vertex], end, tube.radius * substeps)
+            let start = state.x[vertex] - origin;
+            MovingBox::of(start, start + substeps * tube.step, tube.radius * substeps)
         };
         for vertex in 0..state.cloth {
             self.boxes[vertex] = fit(vertex, substeps);
@@ -303,6 +312,7 @@ impl Search<'_> {
             friction: friction as f32,
             idle,
             normal,
+            doubtful: false,
         })
     }
 
@@ -316,6 +326,7 @@ impl Search<'_> {
             friction: friction as f32,
             idle: 0,
             normal: -found.separation.d.normalize_or(DVec3::Z),
+            doubtful: true,
         })
     }
 

@@ -46,10 +46,10 @@ struct Way {
 pub(crate) struct Ways(Vec<Way>);
 
 impl Ways {
-    /// Takes over what tubes are laid for `substeps`.
-    pub fn lay(&mut self, state: &State, tubes: &Tubes, substeps: f64) {
+    /// Takes over what tubes are laid for `substeps`, with places relative to `origin`.
+    pub fn lay(&mut self, state: &State, tubes: &Tubes, substeps: f64, origin: DVec3) {
         let way = |(x, tube): (&DVec3, &super::tubes::Tube)| Way {
-            place: x.as_vec3().to_array(),
+            place: (*x - origin).as_vec3().to_array(),
             radius: (substeps * tube.radius) as f32,
             along: (substeps * tube.step).as_vec3().to_array(),
             _pad: 0.0,
@@ -439,7 +439,7 @@ mod tests {
 
     fn passes(features: Features, reach: f64, state: &State, tubes: &Tubes, substeps: f64) -> bool {
         let mut ways = Ways::default();
-        ways.lay(state, tubes, substeps);
+        ways.lay(state, tubes, substeps, DVec3::ZERO);
         let count = Cell::new(0);
         let mut sieve = Sieve::new(&ways, features, reach, &count);
         let mut passed = Vec::new();
@@ -513,7 +513,7 @@ mod tests {
         state.x.fill(DVec3::X);
         state.x[3] = DVec3::splat(5.0);
         let mut ways = Ways::default();
-        ways.lay(&state, &tubes, substeps);
+        ways.lay(&state, &tubes, substeps, DVec3::ZERO);
         for count in [1, BATCH - 1, BATCH, BATCH + 1, 5 * BATCH + 7] {
             let counted = Cell::new(0);
             let mut sieve = Sieve::new(&ways, Features::EdgeEdge, 0.004, &counted);

@@ -49,7 +49,8 @@ pub(crate) fn pairs_of(
         features.sort_unstable();
         features.dedup();
     }
-    let way = |v: u32| tubes.way(state, v as usize);
+    let origin = surfaces.origin;
+    let way = |v: u32| tubes.way(state, v as usize, origin);
     let way_of = |feature: &[u32]| {
         feature
             .iter()
@@ -88,7 +89,7 @@ pub(crate) fn pairs_of(
     let near = |a: &[u32], b: &[u32]| {
         let real = |feature: &[u32]| {
             feature.iter().fold(MovingBox::EMPTY, |union, &v| {
-                let (x, p) = (state.x[v as usize], state.p[v as usize]);
+                let (x, p) = (state.x[v as usize] - origin, state.p[v as usize] - origin);
                 union.union(&MovingBox::of(x, p, 0.0))
             })
         };

@@ -45,7 +45,7 @@ const EVERY: u32 = (1 << WIDTH) - 1;
 /// Coordinates of a box: x, y, z of the low corner at start and end, and of
 /// the negative of the high corner, so that the smaller one always wins.
 const COORDINATES: usize = 12;
-/// f32 boxes of points within 8 m of the origin round by less, m.
+/// f32 boxes of points within 8 m of what they are relative to round by less, m.
 pub(crate) const ROUNDING_M: f32 = 1e-6;
 
 /// A box that moves linearly from its place at the start to that at the end.

@@ -127,14 +127,17 @@ impl Tubes {
     }
 
     /// The way of a cloth vertex in the present substep, with its own tube as
-    /// motion: a box that at the time of the substep holds where it goes.
-    pub fn way(&self, state: &State, i: usize) -> MovingBox {
+    /// motion: a box that at the time of the substep holds where it goes, relative to `origin`.
+    pub fn way(&self, state: &State, i: usize, origin: DVec3) -> MovingBox {
         let age = f64::from(self.age.unwrap_or(0));
         let step = self.of[i].step;
         let along = self.substeps * step;
         let from = state.x[i] - age * step;
         let to = state.p[i] - (age + 1.0) * step;
-        let at = |place: DVec3| MovingBox::of(place, place + along, 0.0);
+        let at = |place: DVec3| {
+            let place = place - origin;
+            MovingBox::of(place, place + along, 0.0)
+        };
         at(from).union(&at(to))
     }
 
