@@ -361,7 +361,7 @@ impl Engine {
         }
         if let Some(stretch) = &mut self.stretch {
             let start = watch.start();
-            stretch.reset();
+            stretch.start(state);
             for iteration in 0..settings.iterations {
                 passes.count(Effect::Stretch);
                 stretch.solve(state, h, iteration % 2 == 1);

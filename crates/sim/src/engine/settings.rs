@@ -29,7 +29,7 @@ pub struct ScenePhysics {
 pub struct EngineSettings {
     /// Steps per frame. More: stiffer cloth, fewer intersections, proportionally slower. Default 15.
     pub substeps: u32,
-    /// Passes of the stretch springs per substep. More: less stretch under load. Default 4.
+    /// Passes of the stretch springs per substep. More: less stretch under load. Default 3.
     pub iterations: u32,
     /// Passes over the contacts per substep. More: stacked layers press through each other less.
     /// Default 3.
@@ -68,7 +68,7 @@ impl Default for EngineSettings {
     fn default() -> Self {
         Self {
             substeps: 15,
-            iterations: 4,
+            iterations: 3,
             contact_iterations: 3,
             search_every: 5,
             body_thickness_m: 0.004,
