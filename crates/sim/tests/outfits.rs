@@ -3,17 +3,28 @@
 use std::collections::BTreeSet;
 
 use drape_dataset::patches::Patches;
+use drape_dataset::random::stream;
 use drape_dataset::registry::GarmentKind;
-use drape_dataset::sequence::Garment;
+use drape_dataset::sequence::{BodyTopology, Frame, Garment, Material, SceneMeta, SequenceHeader};
 use drape_geometry::intersect::{count_between, count_within};
 use drape_geometry::mesh;
 use drape_geometry::vector::distance2;
 use drape_sim::SimError;
-use drape_sim::body::Body;
+use drape_sim::body::{Body, ShapeRanges};
 use drape_sim::engine::EngineSettings;
-use drape_sim::garment::{METRES_PER_UV, Outfit, OutfitRequest};
-use drape_sim::scene::SceneRanges;
+use drape_sim::garment::{GarmentParameters, METRES_PER_UV, Outfit, OutfitRequest};
+use drape_sim::scene::{Quality, SceneRanges};
 use rayon::prelude::*;
+
+/// Cloth that is not moved here.
+const MATERIAL: Material = Material {
+    mass: 0.5,
+    tension: 50.0,
+    compression: 50.0,
+    shear: 50.0,
+    bending: 50.0,
+    friction: 60.0,
+};
 
 /// Outfits of `count` drawn recipes with their edge lengths in units; those that do not fit
 /// say so and are drawn again by the program.
@@ -108,6 +119,48 @@ fn short_sleeves_folded_tops_and_wide_dresses_fit() {
             check(&body, &outfit, edge);
         }
     }
+}
+
+/// A hood that came down onto the shoulders as wide as the head held the jacket up, 35 to
+/// 42 mm off the skin around the neck.
+#[test]
+fn jackets_lie_on_the_shoulders_with_a_hood_as_without() {
+    let body = Body::load().unwrap();
+    let shaped = body.shaped(&ShapeRanges::default().sample(&mut stream(3, "hood")));
+    let gap_mm = |kind: GarmentKind| {
+        let cut = GarmentParameters {
+            kind,
+            length: 0.5,
+            ease_m: 0.04,
+            sleeve: 1.5,
+            flare: 0.0,
+            panels: 2,
+        };
+        let request = OutfitRequest {
+            garments: &[(cut, MATERIAL)],
+            edge_m: 0.03,
+            trimmed_layers: true,
+        };
+        let outfit = Outfit::fit(&body, &shaped, &request).unwrap();
+        let header = SequenceHeader {
+            name: "shoulders".into(),
+            scene: SceneMeta::default(),
+            body: BodyTopology {
+                rest: outfit.body.clone(),
+                faces: body.faces().to_vec(),
+                vertex_count: body.vertex_count(),
+            },
+            garments: outfit.garments.clone(),
+        };
+        let frame = Frame {
+            body: outfit.body.clone(),
+            garments: vec![outfit.garments[0].rest.clone()],
+            ..Frame::default()
+        };
+        1e3 * Quality::of(&header, &[frame]).shoulder_gap_m().unwrap()
+    };
+    let (without, with) = (gap_mm(GarmentKind::Jacket), gap_mm(GarmentKind::JacketHood));
+    assert!(with < without + 1.5, "{with} mm; without a hood {without}");
 }
 
 /// The ranges of `configs/wardrobe.toml`.

@@ -15,6 +15,9 @@ const OFFSET: f64 = 0.15;
 /// Room between a hood and the head's outline, in units.
 const HOOD_ROOM: f64 = 0.3;
 
+/// How much nearer than at the head's outline a hood comes to the neck, in units.
+const HOOD_CLOSES: f64 = 0.45;
+
 /// The field whose zero surface a garment is cut from; `inner` is the one of the layer below.
 pub(super) fn field(
     spec: &GarmentParameters,
@@ -95,10 +98,13 @@ fn stand_off(spec: &GarmentParameters, a: &Anatomy, body: &Field) -> Field {
                 upper() * (1.0 - down) + legs() * down
             }
             GarmentKind::JacketHood => {
-                // The hood hangs from the head's widest outline onto the shoulders.
+                // The hood hangs from the head's widest outline and closes around the neck:
+                // if it came down onto the shoulders as wide as that, it would hold the jacket up.
+                let closing = HOOD_CLOSES * ramp(a.chin_z + 0.3, a.neck.z, p.z);
                 let fade = 1.5 * (a.neck.z - 0.2 - p.z).max(0.0);
-                let hood = a.head.distance(p).map_or(BAND, |d| d - HOOD_ROOM + fade);
-                smooth_min(upper(), hood, 0.35)
+                let room = HOOD_ROOM - closing - fade;
+                let hood = a.head.distance(p).map_or(BAND, |d| d - room);
+                smooth_min(upper(), hood, 0.2)
             }
             GarmentKind::TShirt | GarmentKind::Jacket | GarmentKind::Dress => upper(),
         }

@@ -53,6 +53,12 @@ impl Sections {
         }
     }
 
+    /// Forgets what was cut below `bottom`.
+    pub fn clear_below(&mut self, bottom: f64) {
+        let count = ((bottom - self.low) / self.step).ceil().max(0.0) as usize;
+        self.polygons.iter_mut().take(count).for_each(Vec::clear);
+    }
+
     /// Below `top`, each section also covers all sections from there down to it: cloth hangs.
     pub fn hang_from(&mut self, top: f64) {
         let start =
