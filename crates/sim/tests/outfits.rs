@@ -1,6 +1,6 @@
 //! What every outfit that is handed out guarantees, on drawn bodies and cuts.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use drape_dataset::patches::Patches;
 use drape_dataset::random::stream;
@@ -121,7 +121,7 @@ fn short_sleeves_folded_tops_and_wide_dresses_fit() {
     }
 }
 
-/// A hood that came down onto the shoulders as wide as the head held the jacket up, 35 to
+/// A hood that came down onto the shoulders as wide as the head held the jacket up, 31 to
 /// 42 mm off the skin around the neck.
 #[test]
 fn jackets_lie_on_the_shoulders_with_a_hood_as_without() {
@@ -161,6 +161,47 @@ fn jackets_lie_on_the_shoulders_with_a_hood_as_without() {
     };
     let (without, with) = (gap_mm(GarmentKind::Jacket), gap_mm(GarmentKind::JacketHood));
     assert!(with < without + 1.5, "{with} mm; without a hood {without}");
+}
+
+/// The hem of a wide skirt had left the grid that it was made on: bays at the back.
+#[test]
+fn the_widest_skirts_end_at_waist_and_hem_only() {
+    let body = Body::load().unwrap();
+    let shaped = body.shaped(&ShapeRanges::default().sample(&mut stream(1, "skirt")));
+    for panels in [2, 8] {
+        let cut = GarmentParameters {
+            kind: GarmentKind::Skirt,
+            length: 1.0,
+            ease_m: 0.04,
+            sleeve: 0.0,
+            flare: 0.48,
+            panels,
+        };
+        let request = OutfitRequest {
+            garments: &[(cut, MATERIAL)],
+            edge_m: 0.04,
+            trimmed_layers: true,
+        };
+        let outfit = Outfit::fit(&body, &shaped, &request).unwrap();
+        let skirt = &outfit.garments[0];
+        let heights = || skirt.rest.iter().map(|p| p[2]);
+        let (low, high) = (
+            heights().fold(f32::INFINITY, f32::min),
+            heights().fold(f32::NEG_INFINITY, f32::max),
+        );
+        let mut faces_at: BTreeMap<[u32; 2], u32> = BTreeMap::new();
+        for face in &skirt.faces {
+            for k in 0..3 {
+                let (a, b) = (face[k], face[(k + 1) % 3]);
+                *faces_at.entry([a.min(b), a.max(b)]).or_default() += 1;
+            }
+        }
+        let boundary = faces_at.into_iter().filter(|(_, faces)| *faces == 1);
+        for v in boundary.flat_map(|(edge, _)| edge) {
+            let z = skirt.rest[v as usize][2];
+            assert!(z - low < 0.02 || high - z < 0.02, "{panels}: a hem at {z}");
+        }
+    }
 }
 
 /// The ranges of `configs/wardrobe.toml`.

@@ -18,7 +18,7 @@ const OPENING: f64 = 0.18;
 
 /// How far sleeves reach beyond the armhole's seam at least, in units of [`beyond_armhole`]:
 /// in wide garments the armpit hangs as low as a short sleeve's end, and where seam and
-/// hem meet at a slant there is no even mesh. About 5 cm of cloth under the arm.
+/// hem meet at a slant there is no even mesh.
 const LEAST_SLEEVE: f64 = 0.2;
 
 /// Cuts of a garment.
@@ -80,7 +80,8 @@ pub(super) fn cuts(spec: &GarmentParameters, a: &Arc<Anatomy>, alteration: Alter
     cuts
 }
 
-fn hem(spec: &GarmentParameters, a: &Anatomy) -> f64 {
+/// Height of the lower hem.
+pub(super) fn hem(spec: &GarmentParameters, a: &Anatomy) -> f64 {
     let between = |low: f64, high: f64| high + (low - high) * spec.length;
     match spec.kind {
         GarmentKind::TShirt => between(a.crotch_z + 0.1, a.hip.z + 0.7),

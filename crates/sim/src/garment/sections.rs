@@ -70,6 +70,15 @@ impl Sections {
         }
     }
 
+    /// Corners of the box around all polygons, seen from above.
+    pub fn bounds(&self) -> [DVec2; 2] {
+        let points = || self.polygons.iter().flatten();
+        [
+            points().fold(DVec2::INFINITY, |low, &p| low.min(p)),
+            points().fold(DVec2::NEG_INFINITY, |high, &p| high.max(p)),
+        ]
+    }
+
     /// Signed distance within the level to the hull, interpolated between levels; none where nothing was cut.
     pub fn distance(&self, p: DVec3) -> Option<f64> {
         let level = (p.z - self.low) / self.step;

@@ -208,6 +208,25 @@ impl Surface {
         self.compact();
     }
 
+    /// The middle of a boundary edge that does not lie on a cut, if there is one: there the
+    /// surface left the grid that it was made on.
+    pub fn torn(&self) -> Option<DVec3> {
+        let mut faces_at: BTreeMap<[u32; 2], u32> = BTreeMap::new();
+        for f in &self.faces {
+            for k in 0..3 {
+                let (a, b) = (f[k], f[(k + 1) % 3]);
+                *faces_at.entry([a.min(b), a.max(b)]).or_default() += 1;
+            }
+        }
+        let off_cuts = |&[a, b]: &[u32; 2]| self.cuts[a as usize] & self.cuts[b as usize] == 0;
+        faces_at
+            .into_iter()
+            .filter(|(_, faces)| *faces == 1)
+            .map(|(edge, _)| edge)
+            .find(off_cuts)
+            .map(|edge| 0.5 * (self.positions[edge[0] as usize] + self.positions[edge[1] as usize]))
+    }
+
     /// Forgets cuts that a vertex only touches: a cut stays where an edge of the
     /// boundary or between two labels runs along it.
     pub fn keep_features(&mut self) {
@@ -249,6 +268,22 @@ impl Surface {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_boundary_beside_its_cut_is_torn() {
+        // A square whose lower side lies on cut 0, the right one on cut 1 and so on.
+        let mut surface = Surface {
+            positions: [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
+                .map(|[x, y]| DVec3::new(x, y, 0.0))
+                .to_vec(),
+            cuts: vec![0b1001, 0b0011, 0b0110, 0b1100],
+            faces: vec![[0, 1, 2], [0, 2, 3]],
+            labels: vec![0, 0],
+        };
+        assert_eq!(surface.torn(), None);
+        surface.cuts[3] = 0b1000;
+        assert_eq!(surface.torn(), Some(DVec3::new(0.5, 1.0, 0.0)));
+    }
 
     #[test]
     fn a_piece_that_hangs_at_a_vertex_is_not_kept() {
