@@ -25,7 +25,10 @@ pub(super) struct Anatomy {
     pub neck_section: (DVec2, DVec2),
     /// Hulls of the trunk and both legs, without arms.
     pub trunk: Sections,
-    /// Hulls of head and neck, each covering what is above it from the widest level down.
+    /// Where the neck meets the head.
+    pub chin_z: f64,
+    /// Hulls of head and neck, each covering what is above it from the widest level down;
+    /// shoulders do not count.
     pub head: Sections,
     /// Where a hood's edge runs beside the face, seen from the side.
     pub face_y: f64,
@@ -64,6 +67,7 @@ impl Anatomy {
         );
         let (spine, lower) = (at("Spine")?, at("LowerBack")?);
         let crown = p.iter().map(|p| p.z).fold(0.0, f64::max);
+        let (neck_joint, head_joint) = (at("Neck")?, at("Head")?);
         let mut head = Sections::cut(
             &p,
             body.faces(),
@@ -72,7 +76,8 @@ impl Anatomy {
             0.15,
             (crown / 0.15) as usize + 2,
         );
-        head.hang_from(at("Head")?.z + 0.8);
+        head.clear_below(neck_joint.z + 0.4);
+        head.hang_from(head_joint.z + 0.8);
         Ok(Self {
             shoulder,
             elbow: at("LeftForeArm")?,
@@ -80,14 +85,15 @@ impl Anatomy {
             hip,
             knee: at("LeftLeg")?,
             ankle: at("LeftFoot")?,
-            neck: at("Neck")?,
+            neck: neck_joint,
+            chin_z: head_joint.z,
             armpit: shoulder + DVec3::new(0.05, 0.0, -0.65),
             waist_z: 0.5 * (spine.z + lower.z),
             crotch_z: hip.z - 0.75,
             neck_section,
             trunk: Sections::cut(&p, body.faces(), &chosen, 0.0, 0.15, (top / 0.15) as usize),
             head,
-            face_y: at("Head")?.y - 0.45,
+            face_y: head_joint.y - 0.45,
         })
     }
 

@@ -5,7 +5,7 @@
 //! taken away, or, for a seam, becomes another panel.
 
 use drape_dataset::registry::GarmentKind;
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use std::sync::Arc;
 
 use super::anatomy::Anatomy;
@@ -15,6 +15,11 @@ use super::surface::Cut;
 
 /// Half the width of a jacket's front opening, in units.
 const OPENING: f64 = 0.18;
+
+/// How far sleeves reach beyond the armhole's seam at least, in units of [`beyond_armhole`]:
+/// in wide garments the armpit hangs as low as a short sleeve's end, and where seam and
+/// hem meet at a slant there is no even mesh.
+const LEAST_SLEEVE: f64 = 0.2;
 
 /// Cuts of a garment.
 pub(super) struct Cuts {
@@ -75,7 +80,8 @@ pub(super) fn cuts(spec: &GarmentParameters, a: &Arc<Anatomy>, alteration: Alter
     cuts
 }
 
-fn hem(spec: &GarmentParameters, a: &Anatomy) -> f64 {
+/// Height of the lower hem.
+pub(super) fn hem(spec: &GarmentParameters, a: &Anatomy) -> f64 {
     let between = |low: f64, high: f64| high + (low - high) * spec.length;
     match spec.kind {
         GarmentKind::TShirt => between(a.crotch_z + 0.1, a.hip.z + 0.7),
@@ -120,25 +126,30 @@ fn face_opening(a: &Anatomy) -> Cut {
     })
 }
 
+/// Positive on the arm's side of the armhole's seam.
+fn beyond_armhole(a: &Anatomy, p: DVec3) -> f64 {
+    smooth_min(p.x.abs() - a.shoulder.x, a.arm_side(p), 0.4)
+}
+
 impl Cuts {
     fn sleeves(&mut self, spec: &GarmentParameters, a: &Arc<Anatomy>) {
         let (arm, sleeve) = (Arc::clone(a), spec.sleeve);
-        let at_armhole = a.shoulder.x - 0.05;
         if spec.is_sleeveless() {
+            let at_armhole = a.shoulder.x - 0.05;
             self.removed.push(Box::new(move |p| {
                 smooth_min(p.x.abs() - at_armhole, arm.arm_side(p) + 0.15, 0.4)
             }));
             return;
         }
         self.removed.push(Box::new(move |p| {
-            arm.beyond_sleeve(p, sleeve)
-                .min(arm.arm_side(p) - 0.02)
-                .min(p.x.abs() - at_armhole)
+            smooth_min(
+                arm.beyond_sleeve(p, sleeve),
+                beyond_armhole(&arm, p) - LEAST_SLEEVE,
+                0.3,
+            )
         }));
         let arm = Arc::clone(a);
-        self.seams.push(Box::new(move |p| {
-            smooth_min(p.x.abs() - at_armhole - 0.05, arm.arm_side(p), 0.4)
-        }));
+        self.seams.push(Box::new(move |p| beyond_armhole(&arm, p)));
     }
 
     fn of_kind(&mut self, spec: &GarmentParameters, a: &Arc<Anatomy>) {

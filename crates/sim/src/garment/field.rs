@@ -7,7 +7,7 @@
 //! and the inner one less the layers' gap.
 
 use drape_geometry::closest::point_triangle;
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 
 use super::surface::Cut;
 
@@ -24,8 +24,15 @@ pub(super) struct Field {
 }
 
 impl Field {
-    /// Signed distance to a closed mesh, clamped to the band.
-    pub fn body(positions: &[[f32; 3]], faces: &[[u32; 3]], step: f64, margin: DVec3) -> Self {
+    /// Signed distance to a closed mesh, clamped to the band, on a grid that leaves a
+    /// margin around the mesh and holds all between `reach`'s two corners, seen from above.
+    pub fn body(
+        positions: &[[f32; 3]],
+        faces: &[[u32; 3]],
+        step: f64,
+        margin: DVec3,
+        reach: [DVec2; 2],
+    ) -> Self {
         let mut low = DVec3::INFINITY;
         let mut high = DVec3::NEG_INFINITY;
         let p: Vec<DVec3> = positions.iter().map(|&p| vector(p)).collect();
@@ -33,8 +40,9 @@ impl Field {
             low = low.min(x);
             high = high.max(x);
         }
-        low -= margin;
-        let size = ((high + margin - low) / step).ceil().to_array();
+        low = (low - margin).min(reach[0].extend(f64::INFINITY));
+        high = (high + margin).max(reach[1].extend(f64::NEG_INFINITY));
+        let size = ((high - low) / step).ceil().to_array();
         let size = size.map(|n| n as usize + 1);
         let count = size[0] * size[1] * size[2];
         let mut field = Self {

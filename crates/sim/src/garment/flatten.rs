@@ -170,7 +170,8 @@ impl Flat {
     }
 }
 
-/// Moves panels onto shelves of a square of `side` units; false when they do not fit.
+/// Moves panels onto shelves of a square of `side` units, the highest first and each onto
+/// the first shelf with room for it; false when they do not fit.
 pub(super) fn pack(panels: &mut [Flat], side: f64, gap: f64) -> bool {
     let mut order: Vec<usize> = (0..panels.len()).collect();
     let size = |p: &Flat| p.bounds().1 - p.bounds().0;
@@ -180,22 +181,72 @@ pub(super) fn pack(panels: &mut [Flat], side: f64, gap: f64) -> bool {
             .total_cmp(&size(&panels[a]).y)
             .then(a.cmp(&b))
     });
-    let (mut at, mut shelf) = (DVec2::splat(gap), 0.0_f64);
+    // Where the next panel of each shelf goes; no panel is higher than its shelf's first.
+    let mut shelves: Vec<DVec2> = Vec::new();
+    let mut top = gap;
     for i in order {
         let (low, high) = panels[i].bounds();
         let extent = high - low;
-        if at.x + extent.x + gap > side {
-            at = DVec2::new(gap, at.y + shelf + gap);
-            shelf = 0.0;
-        }
-        if at.x + extent.x + gap > side || at.y + extent.y + gap > side {
+        let right_end = |at: &DVec2| at.x + extent.x + gap;
+        let shelf = match shelves.iter().position(|at| right_end(at) <= side) {
+            Some(shelf) => shelf,
+            None => {
+                shelves.push(DVec2::new(gap, top));
+                top += extent.y + gap;
+                shelves.len() - 1
+            }
+        };
+        let at = &mut shelves[shelf];
+        if right_end(at) > side || top > side {
             return false;
         }
         for p in &mut panels[i].uv {
-            *p += at - low;
+            *p += *at - low;
         }
         at.x += extent.x + gap;
-        shelf = shelf.max(extent.y);
     }
     true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rectangle(width: f64, height: f64) -> Flat {
+        let uv = [[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]];
+        Flat {
+            uv: uv.map(DVec2::from_array).to_vec(),
+            faces: vec![[0, 1, 2], [0, 2, 3]],
+        }
+    }
+
+    fn packed(sizes: &[[f64; 2]], side: f64, gap: f64) -> Option<Vec<(DVec2, DVec2)>> {
+        let mut panels: Vec<Flat> = sizes.iter().map(|&[w, h]| rectangle(w, h)).collect();
+        pack(&mut panels, side, gap).then(|| panels.iter().map(Flat::bounds).collect())
+    }
+
+    #[test]
+    fn packed_panels_lie_in_the_square_and_keep_their_gap() {
+        // A wide dress: two skirts that cannot lie side by side leave room beside them.
+        let sizes = [[13.0, 12.0], [13.0, 11.0], [10.5, 6.0], [10.5, 5.0]];
+        let boxes = packed(&sizes, 25.0, 0.3).expect("there is room");
+        for (i, (low, high)) in boxes.iter().enumerate() {
+            assert!((*high - *low - DVec2::from_array(sizes[i])).length() < 1e-12);
+            assert!(low.min_element() > 0.29 && high.max_element() < 24.71);
+            for (other_low, other_high) in &boxes[i + 1..] {
+                let apart = (*other_low - *high).max(*low - *other_high);
+                assert!(apart.max_element() > 0.29, "{apart}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_is_said_and_what_just_fits_is_packed() {
+        assert!(packed(&[[9.0, 9.0]], 10.0, 0.5).is_some());
+        assert!(packed(&[[9.01, 9.0]], 10.0, 0.5).is_none());
+        assert!(packed(&[[9.0, 9.01]], 10.0, 0.5).is_none());
+        // A third panel needs a shelf of its own, for which there is no height.
+        assert!(packed(&[[4.0, 5.0]; 2], 10.0, 0.5).is_some());
+        assert!(packed(&[[4.0, 5.0]; 3], 10.0, 0.5).is_none());
+    }
 }

@@ -104,7 +104,11 @@ impl Outfit {
         let anatomy = Arc::new(Anatomy::new(body, shaped, &pose, &positions)?);
         let edge = request.edge_m * SCALE;
         let step = (0.65 * edge).clamp(0.1, 0.2);
-        let distance = Field::body(&positions, body.faces(), step, DVec3::new(0.6, 3.0, 0.6));
+        let specs: Vec<&GarmentParameters> =
+            request.garments.iter().map(|(spec, _)| spec).collect();
+        let reach = pattern::reach(&specs, &anatomy, LAYER_GAP);
+        let margin = DVec3::new(0.6, 3.0, 0.6);
+        let distance = Field::body(&positions, body.faces(), step, margin, reach);
         let mut inner: Option<Field> = None;
         let mut outfit = Self {
             garments: Vec::new(),
@@ -202,6 +206,10 @@ fn sew(
     }
     surface.keep_largest();
     let first_seam = made.removed.len() as u32;
+    if let Some(p) = surface.torn() {
+        let found = format!("it ends where nothing was cut, at ({p:.2})");
+        return Err(SimError::fit(name, found));
+    }
     for (k, cut) in made.seams.iter().enumerate() {
         surface.cut(cut, first_seam + k as u32, false);
     }

@@ -3,7 +3,10 @@
 
 use drape_dataset::registry::GarmentKind;
 
+use glam::DVec2;
+
 use super::anatomy::Anatomy;
+use super::cuts::hem;
 use super::field::{BAND, Field, ramp, smooth_min};
 use super::parameters::GarmentParameters;
 use crate::error::Result;
@@ -14,6 +17,31 @@ const OFFSET: f64 = 0.15;
 
 /// Room between a hood and the head's outline, in units.
 const HOOD_ROOM: f64 = 0.3;
+
+/// How much nearer than at the head's outline a hood comes to the neck, in units.
+const HOOD_CLOSES: f64 = 0.45;
+
+/// Corners, seen from above, of the box that garments around trunk and legs stay in when
+/// they are worn over one another, with room to spare: wide skirts stand farther off than
+/// any limb.
+pub(super) fn reach(
+    garments: &[&GarmentParameters],
+    anatomy: &Anatomy,
+    layer_gap: f64,
+) -> [DVec2; 2] {
+    const SPARE: f64 = 0.4;
+    let lowest = garments
+        .iter()
+        .map(|spec| hem(spec, anatomy))
+        .fold(anatomy.waist_z, f64::min);
+    let widest = garments
+        .iter()
+        .map(|spec| 10.0 * spec.ease_m + spec.flare * (anatomy.waist_z - lowest))
+        .fold(0.0, f64::max);
+    let room = OFFSET + widest + layer_gap * garments.len() as f64 + SPARE;
+    let [low, high] = anatomy.trunk.bounds();
+    [low - DVec2::splat(room), high + DVec2::splat(room)]
+}
 
 /// The field whose zero surface a garment is cut from; `inner` is the one of the layer below.
 pub(super) fn field(
@@ -95,10 +123,13 @@ fn stand_off(spec: &GarmentParameters, a: &Anatomy, body: &Field) -> Field {
                 upper() * (1.0 - down) + legs() * down
             }
             GarmentKind::JacketHood => {
-                // The hood hangs from the head's widest outline onto the shoulders.
+                // The hood hangs from the head's widest outline and closes around the neck:
+                // if it came down onto the shoulders as wide as that, it would hold the jacket up.
+                let closing = HOOD_CLOSES * ramp(a.chin_z + 0.3, a.neck.z, p.z);
                 let fade = 1.5 * (a.neck.z - 0.2 - p.z).max(0.0);
-                let hood = a.head.distance(p).map_or(BAND, |d| d - HOOD_ROOM + fade);
-                smooth_min(upper(), hood, 0.35)
+                let room = HOOD_ROOM - closing - fade;
+                let hood = a.head.distance(p).map_or(BAND, |d| d - room);
+                smooth_min(upper(), hood, 0.2)
             }
             GarmentKind::TShirt | GarmentKind::Jacket | GarmentKind::Dress => upper(),
         }

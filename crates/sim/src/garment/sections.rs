@@ -53,6 +53,12 @@ impl Sections {
         }
     }
 
+    /// Forgets what was cut below `bottom`.
+    pub fn clear_below(&mut self, bottom: f64) {
+        let count = ((bottom - self.low) / self.step).ceil().max(0.0) as usize;
+        self.polygons.iter_mut().take(count).for_each(Vec::clear);
+    }
+
     /// Below `top`, each section also covers all sections from there down to it: cloth hangs.
     pub fn hang_from(&mut self, top: f64) {
         let start =
@@ -62,6 +68,15 @@ impl Sections {
             all.extend_from_slice(&self.polygons[level + 1]);
             self.polygons[level] = hull(all);
         }
+    }
+
+    /// Corners of the box around all polygons, seen from above.
+    pub fn bounds(&self) -> [DVec2; 2] {
+        let points = || self.polygons.iter().flatten();
+        [
+            points().fold(DVec2::INFINITY, |low, &p| low.min(p)),
+            points().fold(DVec2::NEG_INFINITY, |high, &p| high.max(p)),
+        ]
     }
 
     /// Signed distance within the level to the hull, interpolated between levels; none where nothing was cut.

@@ -170,9 +170,10 @@ impl Surface {
         }
     }
 
-    /// Keeps the largest connected piece and the vertices in use.
+    /// Keeps the largest piece and the vertices in use; what hangs at a vertex only is
+    /// another piece.
     pub fn keep_largest(&mut self) {
-        let mut parent: Vec<u32> = (0..self.positions.len() as u32).collect();
+        let mut parent: Vec<u32> = (0..self.faces.len() as u32).collect();
         fn find(parent: &mut [u32], mut a: u32) -> u32 {
             while parent[a as usize] != a {
                 parent[a as usize] = parent[parent[a as usize] as usize];
@@ -180,24 +181,24 @@ impl Surface {
             }
             a
         }
-        for f in &self.faces {
-            for k in 1..3 {
-                let (a, b) = (find(&mut parent, f[0]), find(&mut parent, f[k]));
+        let mut at_edge: HashMap<(u32, u32), u32> = HashMap::new();
+        for (i, f) in self.faces.iter().enumerate() {
+            for k in 0..3 {
+                let (a, b) = (f[k], f[(k + 1) % 3]);
+                let other = *at_edge.entry((a.min(b), a.max(b))).or_insert(i as u32);
+                let (a, b) = (find(&mut parent, i as u32), find(&mut parent, other));
                 parent[a.max(b) as usize] = a.min(b);
             }
         }
-        let mut count = vec![0u32; self.positions.len()];
-        for f in &self.faces {
-            count[find(&mut parent, f[0]) as usize] += 1;
-        }
+        let piece: Vec<u32> = (0..self.faces.len() as u32)
+            .map(|f| find(&mut parent, f))
+            .collect();
+        let mut count = vec![0u32; self.faces.len()];
+        piece.iter().for_each(|&p| count[p as usize] += 1);
         let Some(best) = (0..count.len()).max_by_key(|&i| (count[i], usize::MAX - i)) else {
             return;
         };
-        let keep: Vec<bool> = self
-            .faces
-            .iter()
-            .map(|f| find(&mut parent, f[0]) as usize == best)
-            .collect();
+        let keep: Vec<bool> = piece.iter().map(|&p| p as usize == best).collect();
         let mut flags = keep.iter();
         self.faces
             .retain(|_| *flags.next().expect("one flag a face"));
@@ -205,6 +206,25 @@ impl Surface {
         self.labels
             .retain(|_| *flags.next().expect("one flag a face"));
         self.compact();
+    }
+
+    /// The middle of a boundary edge that does not lie on a cut, if there is one: there the
+    /// surface left the grid that it was made on.
+    pub fn torn(&self) -> Option<DVec3> {
+        let mut faces_at: BTreeMap<[u32; 2], u32> = BTreeMap::new();
+        for f in &self.faces {
+            for k in 0..3 {
+                let (a, b) = (f[k], f[(k + 1) % 3]);
+                *faces_at.entry([a.min(b), a.max(b)]).or_default() += 1;
+            }
+        }
+        let off_cuts = |&[a, b]: &[u32; 2]| self.cuts[a as usize] & self.cuts[b as usize] == 0;
+        faces_at
+            .into_iter()
+            .filter(|(_, faces)| *faces == 1)
+            .map(|(edge, _)| edge)
+            .find(off_cuts)
+            .map(|edge| 0.5 * (self.positions[edge[0] as usize] + self.positions[edge[1] as usize]))
     }
 
     /// Forgets cuts that a vertex only touches: a cut stays where an edge of the
@@ -242,5 +262,41 @@ impl Surface {
             *v = *slot;
         }
         (self.positions, self.cuts) = (positions, cuts);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_boundary_beside_its_cut_is_torn() {
+        // A square whose lower side lies on cut 0, the right one on cut 1 and so on.
+        let mut surface = Surface {
+            positions: [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
+                .map(|[x, y]| DVec3::new(x, y, 0.0))
+                .to_vec(),
+            cuts: vec![0b1001, 0b0011, 0b0110, 0b1100],
+            faces: vec![[0, 1, 2], [0, 2, 3]],
+            labels: vec![0, 0],
+        };
+        assert_eq!(surface.torn(), None);
+        surface.cuts[3] = 0b1000;
+        assert_eq!(surface.torn(), Some(DVec3::new(0.5, 1.0, 0.0)));
+    }
+
+    #[test]
+    fn a_piece_that_hangs_at_a_vertex_is_not_kept() {
+        // Two triangles with a common edge, and a third that touches one corner.
+        let mut surface = Surface {
+            positions: (0..6).map(|k| DVec3::new(f64::from(k), 0.0, 0.0)).collect(),
+            cuts: vec![0, 0, 0, 1, 0, 0],
+            faces: vec![[3, 4, 5], [0, 1, 2], [2, 1, 3]],
+            labels: vec![7, 8, 9],
+        };
+        surface.keep_largest();
+        assert_eq!(surface.faces, [[0, 1, 2], [2, 1, 3]]);
+        assert_eq!(surface.labels, [8, 9]);
+        assert_eq!(surface.cuts, [0, 0, 0, 1]);
     }
 }
