@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail};
 use drape_geometry::mesh::edges;
 use drape_sim::body::Body;
 use drape_sim::engine::EngineSettings;
-use drape_sim::garment::{Outfit, OutfitRequest};
+use drape_sim::garment::Outfit;
 use drape_sim::scene::SceneRanges;
 use glam::Vec3;
 
@@ -31,22 +31,14 @@ fn main() -> Result<()> {
     let (mut refused, mut even) = (0, Evenness::default());
     for number in 0..draws {
         let name = format!("draw_{number:04}");
-        let recipe = ranges.sample(&name, number, seed, 1, &EngineSettings::default());
-        let garments: Vec<_> = recipe
-            .garments
-            .iter()
-            .map(|garment| (garment.parameters, garment.material))
-            .collect();
-        let request = OutfitRequest {
-            garments: &garments,
-            edge_m: edge_m.unwrap_or(recipe.edge_m),
-            trimmed_layers: recipe.trimmed_layers,
-        };
-        match Outfit::fit(&body, &body.shaped(&recipe.shape), &request) {
-            Ok(outfit) => even.add(&outfit, 10.0 * request.edge_m as f32),
+        let mut recipe = ranges.sample(&name, number, seed, 1, &EngineSettings::default());
+        recipe.edge_m = edge_m.unwrap_or(recipe.edge_m);
+        match recipe.outfit(&body, &body.shaped(&recipe.shape)) {
+            Ok(outfit) => even.add(&outfit, 10.0 * recipe.edge_m as f32),
             Err(error) => {
                 refused += 1;
-                let kinds: Vec<&str> = garments.iter().map(|(g, _)| g.kind.name()).collect();
+                let garments = recipe.garments.iter();
+                let kinds: Vec<&str> = garments.map(|g| g.parameters.kind.name()).collect();
                 println!("{name} {}: {error}", kinds.join(", "));
             }
         }

@@ -50,17 +50,7 @@ fn fit(
     seed: u64,
 ) -> Result<(Outfit, f64), SimError> {
     let recipe = ranges.sample(name, number, seed, 48, &EngineSettings::default());
-    let garments: Vec<_> = recipe
-        .garments
-        .iter()
-        .map(|garment| (garment.parameters, garment.material))
-        .collect();
-    let request = OutfitRequest {
-        garments: &garments,
-        edge_m: recipe.edge_m,
-        trimmed_layers: recipe.trimmed_layers,
-    };
-    let outfit = Outfit::fit(body, &body.shaped(&recipe.shape), &request)?;
+    let outfit = recipe.outfit(body, &body.shaped(&recipe.shape))?;
     Ok((outfit, 10.0 * recipe.edge_m))
 }
 

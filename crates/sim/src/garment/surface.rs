@@ -3,6 +3,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 
+use drape_geometry::mesh::boundary_edges;
 use glam::DVec3;
 
 use super::field::{Field, gradient};
@@ -211,18 +212,9 @@ impl Surface {
     /// The middle of a boundary edge that does not lie on a cut, if there is one: there the
     /// surface left the grid that it was made on.
     pub fn torn(&self) -> Option<DVec3> {
-        let mut faces_at: BTreeMap<[u32; 2], u32> = BTreeMap::new();
-        for f in &self.faces {
-            for k in 0..3 {
-                let (a, b) = (f[k], f[(k + 1) % 3]);
-                *faces_at.entry([a.min(b), a.max(b)]).or_default() += 1;
-            }
-        }
         let off_cuts = |&[a, b]: &[u32; 2]| self.cuts[a as usize] & self.cuts[b as usize] == 0;
-        faces_at
+        boundary_edges(&self.faces)
             .into_iter()
-            .filter(|(_, faces)| *faces == 1)
-            .map(|(edge, _)| edge)
             .find(off_cuts)
             .map(|edge| 0.5 * (self.positions[edge[0] as usize] + self.positions[edge[1] as usize]))
     }

@@ -6,10 +6,10 @@ use serde::{Deserialize, Serialize};
 use super::ranges::Units;
 use super::wind::WindPivot;
 use crate::blender::BlenderSettings;
-use crate::body::Shape;
+use crate::body::{Body, Shape, ShapedBody};
 use crate::engine::{AIR_DENSITY, EngineSettings};
 use crate::error::{Result, SimError};
-use crate::garment::GarmentParameters;
+use crate::garment::{GarmentParameters, Outfit, OutfitRequest};
 use crate::motion::{LeadIn, Motion};
 
 /// A scene, complete: shape, outfit, motion, wind, engine.
@@ -104,6 +104,24 @@ impl Recipe {
         self.air_density = Units::DLayers.air_density();
         self.blender = Some(settings.clone());
         self
+    }
+
+    /// The outfit, made on a body of the recipe's shape.
+    ///
+    /// # Errors
+    /// A garment does not fit.
+    pub fn outfit(&self, body: &Body, shaped: &ShapedBody) -> Result<Outfit> {
+        let garments: Vec<_> = self
+            .garments
+            .iter()
+            .map(|garment| (garment.parameters, garment.material))
+            .collect();
+        let request = OutfitRequest {
+            garments: &garments,
+            edge_m: self.edge_m,
+            trimmed_layers: self.trimmed_layers,
+        };
+        Outfit::fit(body, shaped, &request)
     }
 
     /// The recipe as it is stored in a sequence.

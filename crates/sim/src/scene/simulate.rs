@@ -19,7 +19,7 @@ use super::wind::wind_at;
 use crate::body::{Body, Pose, ShapedBody};
 use crate::engine::{Engine, ScenePhysics};
 use crate::error::{Result, SimError};
-use crate::garment::{METRES_PER_UV, Outfit, OutfitRequest, fitting_pose};
+use crate::garment::{METRES_PER_UV, Outfit, fitting_pose};
 use crate::motion::keep_clear;
 
 /// Between thigh and calf: two fabrics, each 4 mm from the skin, 3 mm apart, and their folds; metres.
@@ -132,20 +132,7 @@ pub(super) fn run<M: Mover>(
 ) -> Result<(SequenceHeader, Vec<Frame>)> {
     let body = Body::load()?;
     let shaped = body.shaped(&recipe.shape);
-    let garments: Vec<_> = recipe
-        .garments
-        .iter()
-        .map(|garment| (garment.parameters, garment.material))
-        .collect();
-    let outfit = Outfit::fit(
-        &body,
-        &shaped,
-        &OutfitRequest {
-            garments: &garments,
-            edge_m: recipe.edge_m,
-            trimmed_layers: recipe.trimmed_layers,
-        },
-    )?;
+    let outfit = recipe.outfit(&body, &shaped)?;
     let rest = fitting_pose(&body, &shaped)?;
     let fps = f64::from(recipe.fps);
     let lead = recipe.lead_in;

@@ -507,6 +507,24 @@ mod tests {
     }
 
     #[test]
+    fn wide_and_plain_transposition_give_the_same_bits() {
+        #[cfg(target_arch = "x86_64")]
+        if is_x86_feature_detected!("avx2") {
+            let ways: [Way; EIGHT] = std::array::from_fn(|k| {
+                let number = |c: usize| (10 * k + c) as f32;
+                Way {
+                    place: [number(0), number(1), number(2)],
+                    radius: number(3),
+                    along: [number(4), number(5), number(6)],
+                    _pad: 0.0,
+                }
+            });
+            let of = std::array::from_fn(|k| &ways[k]);
+            assert_eq!(transposed::<true>(of), transposed::<false>(of));
+        }
+    }
+
+    #[test]
     fn many_come_out_in_the_order_they_were_put_in() {
         let (mut state, tubes, substeps) = scene(0);
         // All in one place but for the last vertex, which is far from the others.

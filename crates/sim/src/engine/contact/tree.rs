@@ -684,6 +684,32 @@ mod tests {
     }
 
     #[test]
+    fn wide_and_plain_comparisons_give_the_same_bits() {
+        #[cfg(target_arch = "x86_64")]
+        if is_x86_feature_detected!("avx2") {
+            let (tree, queries) = (Swarm::new(200, 0.0).tree(), Swarm::new(60, 0.3).boxes());
+            let mut seen = BTreeSet::new();
+            for node in tree.levels.iter().flatten() {
+                for query in &queries {
+                    let limits = Limits::new(query, 0.1);
+                    let met = node.met::<false>(&limits);
+                    assert_eq!(node.met::<true>(&limits), met);
+                    seen.insert(met);
+                }
+                let nowhere = Limits([f32::NAN; COORDINATES]);
+                assert_eq!(node.met::<true>(&nowhere), node.met::<false>(&nowhere));
+            }
+            assert!(seen.len() > 20, "{} answers", seen.len());
+            let corners = Corners::of(&[[1, 2, 3], [3, 4, 5], [6, 7, 8], [2, 8, 9]]);
+            for vertices in [[0, 1], [2, 3], [5, 8], [10, 11]] {
+                let plain = corners.having::<2, false>(&vertices);
+                assert_eq!(corners.having::<2, true>(&vertices), plain);
+            }
+            assert_eq!(corners.having::<2, true>(&[2, 3]), 0b1011);
+        }
+    }
+
+    #[test]
     fn points_that_fly_in_formation_do_not_meet() {
         let flight = DVec3::new(3.0, 0.0, 0.0);
         let points = [DVec3::ZERO, DVec3::new(0.2, 0.0, 0.0)];
