@@ -129,6 +129,17 @@ impl Fabric {
             .max(SHORTEST_M)
     }
 
+    /// Mean edge of the garment with the finest mesh, m; infinite without edges.
+    pub fn finest_edge_m(&self) -> f64 {
+        let mean = |piece: &Piece| {
+            let edges = &self.edges[piece.edges.clone()];
+            let sum: f64 = edges.iter().map(|&edge| self.rest_length(edge)).sum();
+            sum / edges.len() as f64
+        };
+        let means = self.garments.iter().map(mean);
+        means.fold(f64::INFINITY, f64::min)
+    }
+
     /// Rest area of the faces at an edge, m².
     pub fn area_at(&self, edge: usize) -> f64 {
         self.sides[edge]

@@ -6,8 +6,8 @@
 //! f32 are met at the border only.
 //!
 //! A substep: gravity, drag and wind change velocities; positions are
-//! predicted; waist bands follow the body; stretch, shear, bending and contacts
-//! are solved in turn, contacts last; velocities are what the substep moved.
+//! predicted; waist bands follow the body; bending and shear are solved, then
+//! stretch and contacts in turn, contacts last; velocities are what the substep moved.
 //!
 //! Every effect has one owner module, and an effect that the scene does not
 //! call for is never computed ([`Engine::passes`] counts):
@@ -74,6 +74,9 @@ pub use material::Cloth;
 pub use settings::{EngineSettings, ScenePhysics};
 pub use wind::{PASCAL_PER_STRENGTH, air_velocity};
 
+/// Cloth with edges of this mean length, m, or longer needs no more passes than the settings say.
+const COARSE_M: f64 = 0.015;
+
 /// What one frame took.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StepReport {
@@ -99,6 +102,8 @@ pub struct StepReport {
 #[derive(Clone, Debug)]
 pub struct Engine {
     settings: EngineSettings,
+    /// Passes over springs and contacts per substep.
+    rounds: u32,
     scale: f64,
     gravity: Option<DVec3>,
     drag: Option<Drag>,
@@ -171,10 +176,11 @@ impl Engine {
         let layer = (has(Effect::LayerContact) && garments.len() > 1)
             .then(|| LayerContact::new(settings.layer_thickness_m));
         let own = (has(Effect::SelfContact) && !garments.is_empty())
-            .then(|| SelfContact::new(settings.self_thickness_m));
+            .then(|| SelfContact::new(settings.self_thickness_m, fabric.finest_edge_m()));
         let contacts = Contacts::new(&fabric, body_faces, &state, body, layer, own);
         let mut engine = Self {
             settings: settings.clone(),
+            rounds: rounds(settings.iterations, fabric.finest_edge_m()),
             scale,
             gravity: has(Effect::Gravity).then(|| metres(physics.gravity, scale)),
             drag: has(Effect::AirDrag).then(|| Drag::new(physics.air_density)),
@@ -362,19 +368,24 @@ impl Engine {
         if let Some(stretch) = &mut self.stretch {
             let start = watch.start();
             stretch.start(state);
-            for iteration in 0..settings.iterations {
-                passes.count(Effect::Stretch);
-                stretch.solve(state, h, iteration % 2 == 1);
-            }
             watch.stop(Part::Effect(Effect::Stretch), start);
         }
-        if let Some(contacts) = &mut self.contacts {
-            for _ in 0..settings.contact_iterations {
+        // In turn: what a contact holds must be felt by the springs that hang from it.
+        for pass in 0..self.rounds {
+            if let Some(stretch) = &mut self.stretch {
+                passes.count(Effect::Stretch);
+                let start = watch.start();
+                stretch.solve(state, h, pass % 2 == 1);
+                watch.stop(Part::Effect(Effect::Stretch), start);
+            }
+            if let Some(contacts) = &mut self.contacts {
                 if self.friction {
                     passes.count(Effect::Friction);
                 }
                 contacts.solve(state, self.friction, watch);
             }
+        }
+        if let Some(contacts) = &mut self.contacts {
             let outcome = contacts.certify(fabric, state, watch);
             report.candidates += outcome.found;
             report.repaired += u64::from(outcome.failed);
@@ -439,6 +450,12 @@ impl Engine {
         }
         Ok(())
     }
+}
+
+/// Passes over springs and contacts: a pass carries a load so many edges further, not so far.
+fn rounds(iterations: u32, edge_m: f64) -> u32 {
+    let more = (COARSE_M / edge_m).max(1.0);
+    (f64::from(iterations) * more).ceil() as u32
 }
 
 /// Waist band vertices of all garments in the engine's numbering.

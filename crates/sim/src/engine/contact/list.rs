@@ -62,7 +62,7 @@ impl PairList {
             let thickness = f64::from(pair.thickness);
             if gap > thickness {
                 let rate = tubes.closing(pair.features, pair.vertices, pair.normal);
-                let idle = idle(gap, thickness, rate) as usize;
+                let idle = idle(gap, tubes.reach(thickness), rate) as usize;
                 if idle > 0 {
                     if let Some(bucket) = self.later.get_mut(age.saturating_add(idle)) {
                         bucket.push(number);

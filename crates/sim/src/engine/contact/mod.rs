@@ -84,7 +84,7 @@ impl Contacts {
     ) -> Option<Self> {
         (body.is_some() || layer.is_some() || own.is_some()).then(|| Self {
             surfaces: Surfaces::new(fabric, body_faces, state),
-            tubes: Tubes::new(state),
+            tubes: Tubes::new(state, fabric.finest_edge_m()),
             body,
             layer,
             own,
@@ -102,7 +102,7 @@ impl Contacts {
             layer.thickness = times * settings.layer_thickness_m;
         }
         if let Some(own) = &mut self.own {
-            own.thickness = times * settings.self_thickness_m;
+            own.keep(times * settings.self_thickness_m);
         }
         self.tubes.expire();
     }

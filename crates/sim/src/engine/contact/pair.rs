@@ -12,7 +12,6 @@
 use drape_geometry::closest::point_triangle;
 use glam::DVec3;
 
-use super::tubes::SLACK_M;
 use crate::engine::state::State;
 
 /// Features of a pair.
@@ -27,11 +26,10 @@ pub(crate) enum Features {
 /// Features nearer than this touch and have no normal of their own, m.
 pub(crate) const SAME_M: f64 = 1e-7;
 
-/// Substeps in which a pair with this gap cannot matter if it closes at this
-/// rate, m per substep. What vertices may be out of their tubes must not be
-/// slept through.
-pub(crate) fn idle(gap: f64, thickness: f64, rate: f64) -> u32 {
-    let room = gap - thickness.max(2.0 * SLACK_M);
+/// Substeps in which a pair with this gap cannot come within `reach` if it
+/// closes at this rate, m per substep.
+pub(crate) fn idle(gap: f64, reach: f64, rate: f64) -> u32 {
+    let room = gap - reach;
     if room <= 0.0 || room <= rate {
         0
     } else if rate <= 0.0 {

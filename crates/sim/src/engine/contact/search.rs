@@ -15,7 +15,7 @@ use glam::DVec3;
 use super::pair::{Features, Pair, Separation, idle, separation};
 use super::sieve::{Sieve, Ways};
 use super::tree::{MovingBox, Tree};
-use super::tubes::{SLACK_M, Tubes};
+use super::tubes::Tubes;
 use crate::engine::fabric::{Fabric, Piece};
 use crate::engine::state::State;
 
@@ -273,7 +273,7 @@ impl Search<'_> {
     /// How far apart boxes of features can be that keep `thickness`: at least as
     /// far as both may be out of their tubes.
     pub fn reach(&self, thickness: f64) -> f64 {
-        thickness.max(2.0 * SLACK_M)
+        self.tubes.reach(thickness)
     }
 
     /// A sieve for candidates whose surfaces can come within `thickness` before the next search.
@@ -301,7 +301,7 @@ impl Search<'_> {
         let normal = found.separation.d.normalize_or(DVec3::Z);
         let idle = if found.distance > self.reach(thickness) {
             let rate = self.tubes.closing(found.features, found.vertices, normal);
-            idle(found.distance, thickness, rate)
+            idle(found.distance, self.reach(thickness), rate)
         } else {
             0
         };

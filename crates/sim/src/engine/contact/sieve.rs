@@ -429,7 +429,7 @@ mod tests {
             cloth: 4,
             x,
         };
-        let mut tubes = Tubes::new(&state);
+        let mut tubes = Tubes::new(&state, 1.0);
         for (i, tube) in tubes.of.iter_mut().enumerate() {
             tube.step = vector(100 + 10 * i as u32, 0.002);
             tube.radius = 1e-3 * draw(200 + i as u32).abs();

@@ -7,7 +7,7 @@
 //! hand, along the way they really go, and the pairs found are certified too.
 //!
 //! The trees of the last search serve for that: whoever did not stray is within
-//! [`SLACK_M`] of its tube, which they hold, and the boxes of features that
+//! the slack of its tube, which they hold, and the boxes of features that
 //! strayed are grown by where these go. To compare with tubes, which are laid
 //! for the whole stretch between searches, a stray's way is given the stray's
 //! own tube as motion: at the time of the present substep it is then where it
@@ -16,7 +16,7 @@
 use super::pair::{Features, Pair};
 use super::search::{Surface, Surfaces};
 use super::tree::MovingBox;
-use super::tubes::{SLACK_M, Tubes};
+use super::tubes::Tubes;
 use crate::engine::fabric::Fabric;
 use crate::engine::state::State;
 
@@ -109,7 +109,7 @@ pub(crate) fn pairs_of(
         partners
     };
     let partners: Vec<_> = (0..surfaces.garments.len()).map(partners).collect();
-    let reach = SLACK_M as f32;
+    let reach = tubes.slack as f32;
     for &v in strays {
         let query = way(v);
         for (surface, is_body) in &partners[garment(v)] {

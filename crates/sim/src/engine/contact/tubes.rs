@@ -4,7 +4,7 @@
 //! may deviate by `radius` from the line's step: as much as it recently did,
 //! between 0.1 and 2 mm. The body moves linearly within a frame, its
 //! tubes have radius 0. What a vertex deviates beyond that adds up; pairs are
-//! only left out or put to sleep with room for [`SLACK_M`] on both sides, so
+//! only left out or put to sleep with room for that *slack* on both sides, so
 //! until then nothing is lost. A vertex that uses up more is a stray: it is
 //! looked up in each substep ([`super::strays`]), and many of them call for a
 //! new search.
@@ -19,10 +19,13 @@ use crate::engine::state::State;
 const NARROWEST_M: f64 = 0.1e-3;
 /// Widest growth of a tube, m per substep.
 const WIDEST_M: f64 = 2e-3;
-/// A vertex may be this far out of its tube.
-pub(crate) const SLACK_M: f64 = 1.0e-3;
-/// Beyond this it counts as a stray: less than the slack by more than rounding.
-const STRAY_M: f64 = 0.98 * SLACK_M;
+/// A vertex may be out of its tube by this, m, or by [`FINE`] of the edges if that is less: what
+/// pairs must be listed for should not reach across whole faces.
+const SLACK_M: f64 = 1.0e-3;
+/// Share of the mean edge.
+const FINE: f64 = 0.08;
+/// Beyond this share of the slack a vertex counts as a stray: less by more than rounding.
+const STRAY: f64 = 0.98;
 /// One cloth vertex in so many may be a stray before a search comes cheaper than looking them up.
 const FEW: usize = 200;
 
@@ -40,6 +43,8 @@ pub(crate) struct Tube {
 #[derive(Clone, Debug)]
 pub(crate) struct Tubes {
     pub of: Vec<Tube>,
+    /// How far a vertex may be out of its tube, m.
+    pub slack: f64,
     /// Deviation beyond the tube since the last search, m.
     excess: Vec<f64>,
     /// Recent deviation per substep, m.
@@ -53,8 +58,10 @@ pub(crate) struct Tubes {
 }
 
 impl Tubes {
-    pub fn new(state: &State) -> Self {
+    /// Tubes for cloth with edges of this mean length, m.
+    pub fn new(state: &State, edge_m: f64) -> Self {
         Self {
+            slack: SLACK_M.min(FINE * edge_m),
             of: vec![Tube::default(); state.x.len()],
             excess: vec![0.0; state.cloth],
             deviation: vec![0.3e-3; state.cloth],
@@ -62,6 +69,12 @@ impl Tubes {
             substeps: 0.0,
             trust: u32::MAX,
         }
+    }
+
+    /// Distance of two features that keep `thickness` from which on they must be looked at: what
+    /// both may be out of their tubes must not be slept through.
+    pub fn reach(&self, thickness: f64) -> f64 {
+        thickness.max(2.0 * self.slack)
     }
 
     /// Whether a search is due: too old, or a vertex is out of its tube.
@@ -121,7 +134,7 @@ impl Tubes {
     /// Whether a cloth vertex is a stray where the present substep leads it.
     pub fn left(&self, state: &State, i: usize) -> bool {
         let Tube { step, radius } = self.of[i];
-        let spare = STRAY_M - self.excess[i];
+        let spare = STRAY * self.slack - self.excess[i];
         let room = radius + spare;
         spare < 0.0 || (state.p[i] - state.x[i]).distance_squared(step) > room * room
     }
@@ -153,7 +166,7 @@ impl Tubes {
             let deviation = (state.x[i] - state.p[i]).distance(tube.step);
             self.deviation[i] = self.deviation[i].max(deviation);
             self.excess[i] += (deviation - tube.radius).max(0.0);
-            strays += usize::from(self.excess[i] > STRAY_M);
+            strays += usize::from(self.excess[i] > STRAY * self.slack);
         }
         if strays > state.cloth / FEW {
             self.trust = 2 * *age;
@@ -177,7 +190,7 @@ mod tests {
             w: vec![1.0; 400],
             cloth: 400,
         };
-        let mut tubes = Tubes::new(&state);
+        let mut tubes = Tubes::new(&state, 1.0);
         tubes.lay(&state, 1e-3, substeps);
         (state, tubes)
     }
@@ -201,12 +214,12 @@ mod tests {
             assert!(!step(&mut state, &mut tubes, 0.99 * radius));
         }
         // Three times a little more than a third of the slack.
-        let more = radius + 0.36 * SLACK_M;
+        let more = radius + 0.36 * tubes.slack;
         assert!(!step(&mut state, &mut tubes, more));
         assert!(!step(&mut state, &mut tubes, -more));
         assert!(step(&mut state, &mut tubes, more));
         // From then on every move is one too many.
-        for by in [1e-5, -1e-5, radius, 0.4 * SLACK_M, 2e-3] {
+        for by in [1e-5, -1e-5, radius, 0.4 * tubes.slack, 2e-3] {
             assert!(step(&mut state, &mut tubes, by), "{by} m");
         }
         assert!(!tubes.expired(), "one vertex of 400 is no reason to search");
