@@ -75,7 +75,7 @@ pub use settings::{EngineSettings, ScenePhysics};
 pub use wind::{PASCAL_PER_STRENGTH, air_velocity};
 
 /// Cloth with edges of this mean length, m, or longer needs no more passes than the settings say.
-const COARSE_M: f64 = 0.015;
+const COARSE_M: f64 = 0.0125;
 
 /// What one frame took.
 #[derive(Clone, Debug, Default, PartialEq)]

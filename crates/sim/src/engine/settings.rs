@@ -29,7 +29,7 @@ pub struct ScenePhysics {
 pub struct EngineSettings {
     /// Steps per frame. More: stiffer cloth, fewer intersections, proportionally slower. Default 15.
     pub substeps: u32,
-    /// Passes over springs and contacts in turn, per substep, for cloth with edges of 15 mm or
+    /// Passes over springs and contacts in turn, per substep, for cloth with edges of 12.5 mm or
     /// more; finer cloth gets more in proportion. More: less stretch under load, stacked layers
     /// press through each other less. Default 3.
     pub iterations: u32,

@@ -2,7 +2,7 @@
 //!
 //! A tube is a straight line, position plus velocity; in each substep a vertex
 //! may deviate by `radius` from the line's step: as much as it recently did,
-//! between 0.1 and 2 mm. The body moves linearly within a frame, its
+//! between 0.1 (less on fine meshes) and 2 mm. The body moves linearly within a frame, its
 //! tubes have radius 0. What a vertex deviates beyond that adds up; pairs are
 //! only left out or put to sleep with room for that *slack* on both sides, so
 //! until then nothing is lost. A vertex that uses up more is a stray: it is
@@ -15,15 +15,15 @@ use super::pair::Features;
 use super::tree::MovingBox;
 use crate::engine::state::State;
 
-/// Narrowest growth of a tube, m per substep.
-const NARROWEST_M: f64 = 0.1e-3;
+/// Narrowest growth of a tube per substep, of the slack.
+const NARROWEST: f64 = 0.1;
 /// Widest growth of a tube, m per substep.
 const WIDEST_M: f64 = 2e-3;
 /// A vertex may be out of its tube by this, m, or by [`FINE`] of the edges if that is less: what
 /// pairs must be listed for should not reach across whole faces.
 const SLACK_M: f64 = 1.0e-3;
 /// Share of the mean edge.
-const FINE: f64 = 0.08;
+const FINE: f64 = 0.1;
 /// Beyond this share of the slack a vertex counts as a stray: less by more than rounding.
 const STRAY: f64 = 0.98;
 /// One cloth vertex in so many may be a stray before a search comes cheaper than looking them up.
@@ -104,9 +104,9 @@ impl Tubes {
         }
         for i in 0..state.cloth {
             self.of[i].radius = if state.w[i] > 0.0 {
-                self.deviation[i].clamp(NARROWEST_M, WIDEST_M)
+                self.deviation[i].clamp(NARROWEST * self.slack, WIDEST_M)
             } else {
-                NARROWEST_M
+                NARROWEST * self.slack
             };
             self.deviation[i] *= 0.7;
         }

@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::*;
 
 /// An engine with pins: the garment's `bands` follow the body's triangles.
-fn pinned(
+pub(super) fn pinned(
     garment: &Garment,
     band: Vec<u32>,
     body: &Body,
