@@ -43,6 +43,14 @@ impl Program {
         }
     }
 
+    /// The feature that the binary asks for, as cargo's command line wants it.
+    fn feature(self) -> Option<&'static str> {
+        match self {
+            Program::Import => Some("drape-dataset/cli"),
+            _ => None,
+        }
+    }
+
     /// What the command is for, printed above the program's own help.
     fn explanation(self) -> &'static str {
         match self {
@@ -134,6 +142,9 @@ pub fn build(programs: &[Program]) -> Result<()> {
     for program in programs {
         let (package, binary) = program.names();
         command.args(["--package", package, "--bin", binary]);
+        if let Some(feature) = program.feature() {
+            command.args(["--features", feature]);
+        }
     }
     let status = command.status().context("cannot run cargo")?;
     if !status.success() {
@@ -181,4 +192,48 @@ fn binary(program: Program) -> PathBuf {
         env::var_os("CARGO_TARGET_DIR").map_or_else(|| workspace().join("target"), PathBuf::from);
     let name = format!("{}{}", program.names().1, env::consts::EXE_SUFFIX);
     target.join("release").join(name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::Value;
+
+    #[test]
+    fn every_program_is_built_with_the_features_that_its_package_asks_for() {
+        let mut metadata = cargo();
+        metadata.args([
+            "metadata",
+            "--no-deps",
+            "--offline",
+            "--format-version",
+            "1",
+        ]);
+        let metadata = metadata.output().unwrap();
+        let metadata: Value = serde_json::from_slice(&metadata.stdout).unwrap();
+        let list = |value: &Value| value.as_array().cloned().unwrap_or_default();
+        let programs = [
+            Program::Train,
+            Program::Eval,
+            Program::Generate,
+            Program::Rollout,
+            Program::Inspect,
+            Program::Import,
+            Program::Bench,
+        ];
+        for program in programs {
+            let (package, binary) = program.names();
+            let packages = list(&metadata["packages"]);
+            let found = packages.iter().find(|p| p["name"] == package).unwrap();
+            let targets = list(&found["targets"]);
+            let is_binary = |t: &&Value| t["name"] == binary && t["kind"][0] == "bin";
+            let target = targets.iter().find(is_binary).expect(binary);
+            let asked: Vec<String> = list(&target["required-features"])
+                .iter()
+                .filter_map(|feature| Some(format!("{package}/{}", feature.as_str()?)))
+                .collect();
+            let given: Vec<String> = program.feature().map(String::from).into_iter().collect();
+            assert_eq!(asked, given, "{binary}");
+        }
+    }
 }
