@@ -76,6 +76,8 @@ pub use wind::{PASCAL_PER_STRENGTH, air_velocity};
 
 /// Cloth with edges of this mean length, m, or longer needs no more passes than the settings say.
 const COARSE_M: f64 = 0.0125;
+/// However fine, cloth gets no more than so many times the passes: a garment in wrong units must not stand still.
+const MOST_PASSES: f64 = 8.0;
 
 /// What one frame took.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -454,7 +456,7 @@ impl Engine {
 
 /// Passes over springs and contacts: a pass carries a load so many edges further, not so far.
 fn rounds(iterations: u32, edge_m: f64) -> u32 {
-    let more = (COARSE_M / edge_m).max(1.0);
+    let more = (COARSE_M / edge_m).clamp(1.0, MOST_PASSES);
     (f64::from(iterations) * more).ceil() as u32
 }
 

@@ -24,6 +24,8 @@ const WIDEST_M: f64 = 2e-3;
 const SLACK_M: f64 = 1.0e-3;
 /// Share of the mean edge.
 const FINE: f64 = 0.1;
+/// The slack is never less than this, m: a search in each substep would not be faster.
+const TIGHTEST_M: f64 = 1e-4;
 /// Beyond this share of the slack a vertex counts as a stray: less by more than rounding.
 const STRAY: f64 = 0.98;
 /// One cloth vertex in so many may be a stray before a search comes cheaper than looking them up.
@@ -61,7 +63,7 @@ impl Tubes {
     /// Tubes for cloth with edges of this mean length, m.
     pub fn new(state: &State, edge_m: f64) -> Self {
         Self {
-            slack: SLACK_M.min(FINE * edge_m),
+            slack: (FINE * edge_m).clamp(TIGHTEST_M, SLACK_M),
             of: vec![Tube::default(); state.x.len()],
             excess: vec![0.0; state.cloth],
             deviation: vec![0.3e-3; state.cloth],

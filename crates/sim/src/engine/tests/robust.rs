@@ -203,3 +203,11 @@ fn cloth_that_is_shaken_to_pieces_asks_for_no_more_than_its_neighbours() {
         assert!(frame == 0 || work < 200.0, "frame {frame}: {work}");
     }
 }
+
+#[test]
+fn passes_grow_with_fine_cloth_and_have_a_bound() {
+    let passes = |edge_m| super::super::rounds(3, edge_m);
+    assert_eq!([f64::INFINITY, 0.025, 0.0125].map(passes), [3, 3, 3]);
+    assert_eq!([0.01, 0.005].map(passes), [4, 8]);
+    assert_eq!([1e-3, 1e-6, 0.0].map(passes), [24, 24, 24]);
+}
