@@ -5,6 +5,7 @@
 //! `assets/pack_body.py`, the program that packs it.
 
 mod asset;
+mod folds;
 mod shape;
 mod skinning;
 
@@ -44,14 +45,8 @@ impl Body {
 
     /// The joint that moves each vertex most, `[vertex]`.
     pub fn main_joint(&self) -> Vec<Joint> {
-        self.asset
-            .skin
-            .iter()
-            .map(|s| {
-                let best = (0..4).max_by_key(|&k| (s.weights[k], 4 - k)).expect("four");
-                Joint(s.joints[best])
-            })
-            .collect()
+        let skin = self.asset.skin.iter();
+        skin.map(|skin| Joint(skin.main_joint() as u8)).collect()
     }
 
     /// Parent of each joint, `[joint]`; parents come before their children.

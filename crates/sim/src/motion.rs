@@ -10,7 +10,6 @@ mod bvh;
 mod clearance;
 mod clip;
 mod family;
-mod knees;
 mod movement;
 
 use glam::{DQuat, DVec3};
@@ -152,7 +151,7 @@ impl Motion {
 }
 
 /// 0 before 0, 1 after 1, between them with two continuous derivatives.
-fn smooth_step(share: f64) -> f64 {
+pub(crate) fn smooth_step(share: f64) -> f64 {
     let x = share.clamp(0.0, 1.0);
     x * x * x * (x * (6.0 * x - 15.0) + 10.0)
 }

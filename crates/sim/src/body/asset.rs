@@ -12,6 +12,14 @@ pub(super) struct Skin {
     pub weights: [u8; 4],
 }
 
+impl Skin {
+    /// The joint that moves the vertex most.
+    pub fn main_joint(&self) -> usize {
+        let best = (0..4).max_by_key(|&k| (self.weights[k], 4 - k));
+        usize::from(self.joints[best.expect("four")])
+    }
+}
+
 /// The packed body.
 #[derive(Clone, Debug)]
 pub(super) struct Asset {

@@ -3,6 +3,7 @@
 use glam::{DQuat, DVec3};
 
 use super::asset::Asset;
+use super::folds::{Fold, folds};
 
 /// A joint of the rig.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -31,14 +32,17 @@ pub struct ShapedBody<'a> {
     asset: &'a Asset,
     positions: Vec<DVec3>,
     heads: Vec<DVec3>,
+    folds: Vec<Fold>,
 }
 
 impl<'a> ShapedBody<'a> {
     pub(super) fn new(asset: &'a Asset, positions: Vec<DVec3>, heads: Vec<DVec3>) -> Self {
+        let folds = folds(asset, &positions, &heads);
         Self {
             asset,
             positions,
             heads,
+            folds,
         }
     }
 
@@ -74,7 +78,8 @@ impl<'a> ShapedBody<'a> {
     /// Vertex positions of a pose, `[vertex, 3]`.
     pub fn pose(&self, pose: &Pose) -> Vec<[f32; 3]> {
         let joints = self.joints(pose);
-        self.positions
+        let mut positions: Vec<DVec3> = self
+            .positions
             .iter()
             .zip(&self.asset.skin)
             .map(|(p, skin)| {
@@ -86,8 +91,15 @@ impl<'a> ShapedBody<'a> {
                         sum += (at + turn * (*p - self.heads[j])) * (f64::from(w) / 255.0);
                     }
                 }
-                sum.to_array().map(|x| x as f32)
+                sum
             })
+            .collect();
+        for fold in &self.folds {
+            fold.open(&mut positions, &joints);
+        }
+        positions
+            .iter()
+            .map(|p| p.to_array().map(|x| x as f32))
             .collect()
     }
 }

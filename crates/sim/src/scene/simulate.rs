@@ -22,9 +22,6 @@ use crate::error::{Result, SimError};
 use crate::garment::{METRES_PER_UV, Outfit, fitting_pose};
 use crate::motion::keep_clear;
 
-/// Between thigh and calf: two fabrics, each 4 mm from the skin, 3 mm apart, and their folds; metres.
-const ROOM_AT_KNEES_M: f64 = 0.015;
-
 /// Scene units per metre.
 pub(super) const SCALE: f32 = 10.0;
 
@@ -138,15 +135,7 @@ pub(super) fn run<M: Mover>(
     let lead = recipe.lead_in;
     let first = lead.still + lead.ease;
     let looked_at = recipe.body_gap.map_or(0, |gap| gap.frames);
-    let mut motion = recipe.motion.clone();
-    let deepest = match recipe.body_gap {
-        Some(_) => {
-            let room = ROOM_AT_KNEES_M * f64::from(SCALE);
-            motion.leave_room_at_knees(&body, &shaped, &rest, room)?
-        }
-        None => None,
-    };
-    let mut poses = motion.poses(
+    let mut poses = recipe.motion.poses(
         &body,
         &shaped,
         &rest,
@@ -158,9 +147,6 @@ pub(super) fn run<M: Mover>(
     poses.truncate(first + recipe.frames);
 
     let mut header = header(recipe, &body, &outfit);
-    header.scene.warnings.extend(deepest.map(|degrees| {
-        format!("squats end at {degrees:.0} degrees, where thigh and calf leave room for cloth")
-    }));
     header.scene.warnings.extend(cleared);
     let stage = Stage {
         recipe,
