@@ -74,3 +74,17 @@ fn a_changed_byte_that_reading_never_uses_fails_the_inspection() {
     let (_, printed) = inspect(&[&conformance("two_layers"), Path::new("--no-pictures")]);
     assert!(printed.contains("ok     every byte"), "{printed}");
 }
+
+#[test]
+fn a_reader_that_goes_away_is_no_error() {
+    let program = env!("CARGO_BIN_EXE_drape-inspect");
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let output = Command::new(program)
+        .args([&conformance("two_layers"), Path::new("--no-pictures")])
+        .stdout(writer)
+        .output()
+        .unwrap();
+    assert!(!output.status.success(), "nobody read what it printed");
+    assert_eq!(String::from_utf8(output.stderr).unwrap(), "");
+}

@@ -53,6 +53,8 @@ struct Arguments {
 }
 
 fn main() -> ExitCode {
+    // `drape-inspect FILE | head` ends quietly.
+    sigpipe::reset();
     match run(&Arguments::parse()) {
         Ok(true) => ExitCode::SUCCESS,
         Ok(false) => ExitCode::FAILURE,
