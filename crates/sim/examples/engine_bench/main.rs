@@ -3,12 +3,12 @@
 //!
 //! `cargo run --release -p drape-sim --example engine_bench -- --help`
 
-mod clock;
 mod refine;
 mod scene;
 
 use anyhow::{Context, Result, ensure};
 use clap::{Parser, ValueEnum};
+use cpu_time::ThreadTime;
 use drape_dataset::registry::Effect;
 use drape_geometry::intersect::{count_between, count_within};
 use drape_geometry::mesh::edges;
@@ -16,7 +16,6 @@ use drape_geometry::vector::distance2;
 use drape_sim::engine::profile::{self, Part, Profile};
 use drape_sim::engine::{Engine, EngineSettings};
 
-use clock::Clock;
 use scene::{FPS, Scene, Wardrobe};
 
 #[global_allocator]
@@ -79,7 +78,7 @@ fn main() -> Result<()> {
     let settings: EngineSettings = toml::from_str(&arguments.engine)
         .with_context(|| format!("--engine: {:?} is no engine settings", arguments.engine))?;
     settings.validate()?;
-    println!("{}, {} frames a run", Clock::kind(), arguments.frames);
+    println!("processor time, {} frames a run", arguments.frames);
     let scene = |wardrobe, vertices| {
         Scene::new(
             wardrobe,
@@ -196,9 +195,9 @@ fn measured(scene: &Scene, engine: &mut Engine) -> Result<Run> {
         profile: None,
     };
     for body in &scene.bodies[scene.lead..] {
-        let clock = Clock::start();
+        let clock = ThreadTime::now();
         let report = engine.advance(body, scene.wind, 1.0 / FPS)?;
-        run.seconds.push(clock.seconds());
+        run.seconds.push(clock.elapsed().as_secs_f64());
         run.uncertified += report.uncertified;
         run.repaired += report.repaired;
         run.searches += u64::from(report.searches);

@@ -74,7 +74,7 @@ pub use material::Cloth;
 pub use settings::{EngineSettings, ScenePhysics};
 pub use wind::{PASCAL_PER_STRENGTH, air_velocity};
 
-/// Cloth with edges of this mean length, m, or longer needs no more passes than the settings say.
+/// Cloth with edges of this mean length, m, or longer needs no more passes and searches than the settings say.
 const COARSE_M: f64 = 0.0125;
 /// However fine, cloth gets no more than so many times the passes: a garment in wrong units must not stand still.
 const MOST_PASSES: f64 = 8.0;

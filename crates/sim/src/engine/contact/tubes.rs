@@ -13,6 +13,7 @@ use glam::DVec3;
 
 use super::pair::Features;
 use super::tree::MovingBox;
+use crate::engine::COARSE_M;
 use crate::engine::state::State;
 
 /// Narrowest growth of a tube per substep, of the slack.
@@ -26,6 +27,8 @@ const SLACK_M: f64 = 1.0e-3;
 const FINE: f64 = 0.1;
 /// The slack is never less than this, m: a search in each substep would not be faster.
 const TIGHTEST_M: f64 = 1e-4;
+/// However fine the cloth, tubes are laid for so many substeps if they are worth it and asked for.
+const LEAST_SUBSTEPS: u32 = 2;
 /// Beyond this share of the slack a vertex counts as a stray: less by more than rounding.
 const STRAY: f64 = 0.98;
 /// One cloth vertex in so many may be a stray before a search comes cheaper than looking them up.
@@ -57,6 +60,9 @@ pub(crate) struct Tubes {
     substeps: f64,
     /// Substeps that tubes may be trusted for, as far as the last ones tell.
     trust: u32,
+    /// Share of the substeps asked for that tubes of this cloth are laid for: they widen with
+    /// time, and on fine cloth soon reach across faces.
+    fineness: f64,
 }
 
 impl Tubes {
@@ -70,6 +76,7 @@ impl Tubes {
             age: None,
             substeps: 0.0,
             trust: u32::MAX,
+            fineness: (edge_m / COARSE_M).min(1.0),
         }
     }
 
@@ -89,7 +96,8 @@ impl Tubes {
     /// Cloth that is shaken leaves its tubes early: laid for longer, they
     /// would only be wider, and each search would find more for nothing.
     pub fn horizon(&self, most: u32) -> u32 {
-        self.trust.min(most)
+        let fine = (f64::from(most) * self.fineness).ceil() as u32;
+        self.trust.min(fine.max(LEAST_SUBSTEPS)).min(most)
     }
 
     /// Forces a search before the next substep.
@@ -228,6 +236,15 @@ mod tests {
         state.v.fill(DVec3::ZERO);
         tubes.lay(&state, 1e-3, 5.0);
         assert!(!step(&mut state, &mut tubes, 0.99 * radius));
+    }
+
+    #[test]
+    fn tubes_of_fine_cloth_are_laid_for_less_time() {
+        let (state, tubes) = resting(5.0);
+        assert_eq!([1, 5, 100].map(|most| tubes.horizon(most)), [1, 5, 100]);
+        let horizon = |edge_m, most| Tubes::new(&state, edge_m).horizon(most);
+        assert_eq!(horizon(0.5 * COARSE_M, 5), 3);
+        assert_eq!([1, 2, 5].map(|most| horizon(1e-9, most)), [1, 2, 2]);
     }
 
     #[test]
