@@ -12,5 +12,5 @@ mod remesh;
 mod sections;
 mod surface;
 
-pub use outfit::{METRES_PER_UV, Outfit, OutfitRequest, fitting_pose};
+pub use outfit::{EDGES_M, METRES_PER_UV, Outfit, OutfitRequest, fitting_pose};
 pub use parameters::GarmentParameters;

@@ -50,3 +50,29 @@ fn a_recipe_that_does_not_say_its_air_is_of_real_air() {
     let older = Recipe::from_json(&text.replace(&said, "")).unwrap();
     assert_eq!(older.air_density, AIR_DENSITY);
 }
+
+#[test]
+fn a_chosen_edge_length_holds_for_all_outfits_and_a_wrong_one_is_refused() {
+    let with = |edge_m| SceneRanges {
+        edge_m,
+        ..SceneRanges::default()
+    };
+    for number in 0..8 {
+        let name = format!("train_{number:04}");
+        let recipe = with(0.025).sample(&name, number, 5, 48, &EngineSettings::default());
+        assert_eq!(recipe.edge_m, 0.025);
+        // The rest of the draw is the same.
+        let edge_m = drawn(number).edge_m;
+        assert_eq!(Recipe { edge_m, ..recipe }, drawn(number));
+    }
+    for good in [0.0, 0.01, 0.06] {
+        with(good).validate().unwrap();
+    }
+    for bad in [25.0, 0.009, -0.025, f64::NAN] {
+        let said = with(bad).validate().unwrap_err().to_string();
+        assert!(
+            said.contains("scene.edge_m") && said.contains("0.06"),
+            "{said}"
+        );
+    }
+}

@@ -42,6 +42,8 @@ const TRIALS: [(f64, f64); 8] = [
     (0.97, 0.3),
     (1.03, 0.3),
 ];
+/// Shortest and longest target edge length in metres.
+pub const EDGES_M: [f64; 2] = [0.01, 0.06];
 /// Shortest edge allowed, as a multiple of the target.
 const SHORTEST_EDGE: f64 = 0.1;
 
@@ -50,7 +52,7 @@ const SHORTEST_EDGE: f64 = 0.1;
 pub struct OutfitRequest<'a> {
     /// Garments with their materials, inner layer first.
     pub garments: &'a [(GarmentParameters, Material)],
-    /// Target edge length in metres (0.01–0.06).
+    /// Target edge length in metres, in [`EDGES_M`].
     pub edge_m: f64,
     /// Inner garments end at their hems for the garments over them too: pants
     /// over a T-shirt are pants. Otherwise the outer garment follows the inner
@@ -96,8 +98,10 @@ impl Outfit {
     /// A parameter is out of range, or a garment does not fit: it would meet
     /// the body, the layer below or itself, or its panels do not fit the UV square.
     pub fn fit(body: &Body, shaped: &ShapedBody, request: &OutfitRequest) -> Result<Self> {
-        if !(0.01..=0.06).contains(&request.edge_m) {
-            return Err(SimError::value("edge_m", "0.01 to 0.06", request.edge_m));
+        let [least, most] = EDGES_M;
+        if !(least..=most).contains(&request.edge_m) {
+            let expected = format!("{least} to {most}");
+            return Err(SimError::value("edge_m", expected, request.edge_m));
         }
         let pose = fitting_pose(body, shaped)?;
         let positions = shaped.pose(&pose);

@@ -18,7 +18,7 @@ use super::wind;
 use crate::body::ShapeRanges;
 use crate::engine::{AIR_DENSITY, EngineSettings};
 use crate::error::{Result, SimError};
-use crate::garment::GarmentParameters;
+use crate::garment::{EDGES_M, GarmentParameters};
 use crate::motion::{Clip, LeadIn, Motion, MotionFamily};
 
 /// Ranges of scenes.
@@ -34,7 +34,7 @@ pub struct SceneRanges {
     /// BVH files with recorded motions; sequences take them and the families in turn.
     pub clips: Vec<PathBuf>,
     /// Gap in metres that limbs keep from the rest of the body: at least 0.004,
-    /// more where cloth lies between; squats then end before thigh and calf close over cloth.
+    /// more where cloth lies between.
     /// 0 leaves the motions as they are.
     pub body_gap_m: f64,
     /// Units of time and force.
@@ -44,6 +44,8 @@ pub struct SceneRanges {
     /// Vertices of an outfit, roughly: the meshes' edge length follows from it.
     /// More: finer folds, slower in proportion.
     pub outfit_vertices: f64,
+    /// Edge length of all garments in metres, 0.01 to 0.06; 0 lets `outfit_vertices` say.
+    pub edge_m: f64,
     /// Speed of the motions: 1 is brisk (a step takes 0.6 s, a squat 2.6 s).
     /// Cloth on slower bodies swings less.
     pub pace: [f64; 2],
@@ -99,6 +101,7 @@ impl Default for SceneRanges {
             units: Units::Real,
             fps: 30.0,
             outfit_vertices: 1650.0,
+            edge_m: 0.0,
             pace: [0.5, 0.75],
             calm_share: 0.5,
             wind_strength: [50.0, 400.0],
@@ -162,6 +165,11 @@ impl SceneRanges {
         };
         let wide = |values: [f32; 2]| values.map(f64::from);
         range("outfit_vertices", [self.outfit_vertices; 2], [100.0, 1e5])?;
+        let [least, most] = EDGES_M;
+        if self.edge_m != 0.0 && !(least..=most).contains(&self.edge_m) {
+            let expected = format!("0, or {least} to {most} metres");
+            return Err(SimError::value("scene.edge_m", expected, self.edge_m));
+        }
         range("wind_strength", wide(self.wind_strength), [0.0, 400.0])?;
         range("pace", self.pace, [0.05, 3.0])?;
         range("calm_share", [self.calm_share; 2], [0.0, 1.0])?;
@@ -260,7 +268,10 @@ impl SceneRanges {
             fps: self.fps,
             shape,
             body_friction,
-            edge_m: edge_for(self.outfit_vertices, &garments, shape.height),
+            edge_m: match self.edge_m {
+                0.0 => edge_for(self.outfit_vertices, &garments, shape.height),
+                chosen => chosen,
+            },
             garments,
             trimmed_layers: self.cuts == CutRange::All,
             gravity: [0.0, 0.0, self.units.gravity()],
@@ -322,7 +333,8 @@ fn edge_for(vertices: f64, garments: &[RecipeGarment], height: f64) -> f64 {
     };
     let all: f64 = garments.iter().map(at_33_mm).sum();
     let taller = 1.0 + 1.5 * (height - 0.4);
-    (0.033 * (all * taller / vertices).sqrt()).clamp(0.01, 0.06)
+    let [least, most] = EDGES_M;
+    (0.033 * (all * taller / vertices).sqrt()).clamp(least, most)
 }
 
 pub(super) fn between(rng: &mut ChaCha8Rng, [low, high]: [f64; 2]) -> f64 {
