@@ -200,3 +200,23 @@ fn flesh_gives_way_in_deep_squats_and_leaves_room_for_cloth() {
         }
     }
 }
+
+#[test]
+fn poses_that_are_not_finite_are_posed_without_panic() {
+    let body = Body::load().unwrap();
+    let shaped = body.shaped(&ShapeRanges::default().sample(&mut stream(0, "knees")));
+    for broken in ["LowerBack", "LeftUpLeg", "LeftLeg", "LeftFoot"] {
+        let mut pose = shaped.rest_pose();
+        let quarter = glam::DQuat::from_rotation_x(1.7);
+        for (joint, turn) in [("LeftUpLeg", quarter.inverse()), ("LeftLeg", quarter)] {
+            pose.rotations[body.joint(joint).unwrap().index()] = turn;
+        }
+        pose.rotations[body.joint(broken).unwrap().index()].w = f64::NAN;
+        let positions = shaped.pose(&pose);
+        assert!(positions.iter().flatten().any(|x| x.is_nan()), "{broken}");
+        assert!(
+            positions.iter().flatten().any(|x| x.is_finite()),
+            "{broken}"
+        );
+    }
+}

@@ -91,8 +91,8 @@ impl Fold {
         let down = (joints[self.end].0 - at).normalize();
         let bend = up.dot(-down).clamp(-1.0, 1.0).acos().to_degrees();
         let share = smooth_step((bend - BENDS[0]) / (BENDS[1] - BENDS[0]));
-        // Nothing to do; a joint that is folded flat has no plane.
-        if share <= 0.0 || (up + down).length() < 1e-9 || (up - down).length() < 1e-9 {
+        // Straight joints have nothing to do, joints folded flat no plane; numbers that are not finite end here.
+        if !(share > 0.0 && (up + down).length() > 1e-9 && (up - down).length() > 1e-9) {
             return;
         }
         let hollow = (up + down).normalize();
@@ -103,7 +103,8 @@ impl Fold {
             let side = above.signum();
             let apart = side * (*p - at).dot(across);
             let least = smooth_step(depth) * ROOM.min(OPENS * above.abs());
-            let moved = apart.clamp(least, least.max(above.abs())) - apart;
+            let most = least.max(above.abs());
+            let moved = apart.max(least).min(most) - apart;
             *p += across * (side * moved * smooth_step(depth + 1.0) * share);
         }
     }
