@@ -5,6 +5,7 @@
 //! `assets/pack_body.py`, the program that packs it.
 
 mod asset;
+mod creases;
 mod folds;
 mod shape;
 mod skinning;

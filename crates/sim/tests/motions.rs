@@ -1,6 +1,7 @@
 //! What every drawn motion guarantees.
 
 use drape_dataset::random::stream;
+use drape_geometry::intersect::count_within;
 use drape_sim::body::{Body, Shape, ShapeRanges};
 use drape_sim::garment::fitting_pose;
 use drape_sim::motion::{LeadIn, Motion, MotionFamily, Movement, keep_clear};
@@ -197,6 +198,35 @@ fn flesh_gives_way_in_deep_squats_and_leaves_room_for_cloth() {
             let step = |v: &usize| (place(b[*v]) - place(a[*v]) - root).length();
             let most = thigh.iter().chain(&calf).map(step).fold(0.0, f64::max);
             assert!(most < 1.5, "{most} units in a frame");
+        }
+    }
+}
+
+#[test]
+fn skin_does_not_cross_itself_in_far_bends() {
+    let body = Body::load().unwrap();
+    let lead = LeadIn { still: 0, ease: 1 };
+    let families = [
+        MotionFamily::DeepSquat,
+        MotionFamily::Kick,
+        MotionFamily::LegLift,
+        MotionFamily::Lunge,
+        MotionFamily::ArmSwing,
+        MotionFamily::Twist,
+    ];
+    for (seed, family) in (0..3).flat_map(|seed| families.map(|family| (seed, family))) {
+        let mut draws = stream(seed, "skin");
+        let shaped = body.shaped(&ShapeRanges::default().sample(&mut draws));
+        let rest = fitting_pose(&body, &shaped).unwrap();
+        let at_rest = count_within(&shaped.pose(&rest), body.faces());
+        let motion = family.sample(&mut draws);
+        let poses = motion.poses(&body, &shaped, &rest, 30.0, lead, 60).unwrap();
+        for (frame, pose) in poses.iter().enumerate().step_by(5) {
+            let crossed = count_within(&shaped.pose(pose), body.faces());
+            assert!(
+                crossed <= at_rest,
+                "{family:?}, seed {seed}, frame {frame}: {crossed} hits, {at_rest} at rest"
+            );
         }
     }
 }

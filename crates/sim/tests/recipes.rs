@@ -1,7 +1,10 @@
 //! A recipe that was read is the recipe that was written, to the last bit.
 
+use std::ops::ControlFlow;
+
 use drape_sim::engine::{AIR_DENSITY, EngineSettings};
-use drape_sim::scene::{Recipe, SceneRanges, Units};
+use drape_sim::motion::{LeadIn, Motion, Movement};
+use drape_sim::scene::{BodyGap, Recipe, SceneRanges, Units, simulate};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -74,5 +77,45 @@ fn a_chosen_edge_length_holds_for_all_outfits_and_a_wrong_one_is_refused() {
             said.contains("scene.edge_m") && said.contains("0.06"),
             "{said}"
         );
+    }
+}
+
+#[test]
+fn a_motion_is_cut_before_the_body_crosses_itself_if_room_is_asked_for() {
+    let mut plain = Recipe {
+        frames: 10,
+        motion: Motion {
+            movements: vec![Movement::Twist {
+                angle_deg: 170.0,
+                period_s: 1.5,
+                phase: 0.0,
+            }],
+            ..Motion::default()
+        },
+        lead_in: LeadIn { still: 1, ease: 4 },
+        ..drawn(0)
+    };
+    plain.garments.truncate(1);
+    let with_room = Recipe {
+        body_gap: Some(BodyGap {
+            gap_m: 0.004,
+            frames: 10,
+        }),
+        ..plain.clone()
+    };
+    let go = |recipe: &Recipe| simulate(recipe, Some(1), |_| ControlFlow::Continue(())).unwrap();
+    let [(all, frames), (cut, kept)] = [go(&plain), go(&with_room)];
+    let said = |warnings: &[String]| warnings.join("\n");
+    assert_eq!(frames.len(), 10);
+    let crossed = "the body intersects itself more than in the fitting pose in 2 of 10 frames";
+    assert_eq!(said(&all.scene.warnings), crossed);
+    assert_eq!(kept.len(), 8);
+    assert_eq!(
+        said(&cut.scene.warnings),
+        "frames from 13 on were cut, lead-in included: \
+         the body intersects itself more than in the fitting pose"
+    );
+    for (frame, cut) in frames.iter().zip(&kept) {
+        assert_eq!(frame.body, cut.body, "what is kept is the same");
     }
 }

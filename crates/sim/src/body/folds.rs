@@ -14,7 +14,7 @@ use crate::motion::smooth_step;
 
 /// From the halving plane to the flesh: half of two fabrics, each 4 mm from the skin, 3 mm
 /// apart, and their folds; units of 0.1 m.
-const ROOM: f64 = 0.075;
+const ROOM: f64 = 0.085;
 /// How fast the room opens with the distance from the fold at rest.
 const OPENS: f64 = 0.5;
 /// Bends between which flesh begins to give way, in degrees.

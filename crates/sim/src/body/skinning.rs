@@ -3,6 +3,7 @@
 use glam::{DQuat, DVec3};
 
 use super::asset::Asset;
+use super::creases::Creases;
 use super::folds::{Fold, folds};
 
 /// A joint of the rig.
@@ -33,16 +34,19 @@ pub struct ShapedBody<'a> {
     positions: Vec<DVec3>,
     heads: Vec<DVec3>,
     folds: Vec<Fold>,
+    creases: Creases,
 }
 
 impl<'a> ShapedBody<'a> {
     pub(super) fn new(asset: &'a Asset, positions: Vec<DVec3>, heads: Vec<DVec3>) -> Self {
         let folds = folds(asset, &positions, &heads);
+        let creases = Creases::new(asset, &positions);
         Self {
             asset,
             positions,
             heads,
             folds,
+            creases,
         }
     }
 
@@ -97,6 +101,7 @@ impl<'a> ShapedBody<'a> {
         for fold in &self.folds {
             fold.open(&mut positions, &joints);
         }
+        self.creases.smooth(self.asset, &mut positions);
         positions
             .iter()
             .map(|p| p.to_array().map(|x| x as f32))

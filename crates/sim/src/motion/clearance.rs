@@ -8,8 +8,8 @@
 //! A limb is too close when its surface, moved outwards by the gap, meets the
 //! other parts: exact for crossings, and for distances up to what moving
 //! vertices along their normals does to a surface. Folds of skin at a joint
-//! (groin, armpit, elbow, knee) belong to the joint and are left alone; the body
-//! opens those of knees and hips itself.
+//! (groin, armpit, elbow, knee) belong to the joint and are left alone: the body
+//! opens those of knees and hips and smooths skin that is folded over itself.
 
 use std::ops::Range;
 

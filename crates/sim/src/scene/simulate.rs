@@ -143,7 +143,10 @@ pub(super) fn run<M: Mover>(
         lead,
         recipe.frames.max(looked_at),
     )?;
-    let cleared = make_room(recipe, &body, &shaped, &mut poses)?;
+    // The mesh has a few hits of its own at mouth and toes.
+    let at_rest = count_within(&outfit.body, body.faces());
+    let crosses = |positions: &[[f32; 3]]| count_within(positions, body.faces()) > at_rest;
+    let cleared = make_room(recipe, &body, &shaped, &crosses, &mut poses)?;
     poses.truncate(first + recipe.frames);
 
     let mut header = header(recipe, &body, &outfit);
@@ -156,8 +159,6 @@ pub(super) fn run<M: Mover>(
     };
     let mut mover = start(&stage, &mut header)?;
     let mut frames = Vec::with_capacity(recipe.frames);
-    // The mesh has a few hits of its own at mouth and toes.
-    let at_rest = count_within(&outfit.body, body.faces());
     let mut crossed_body = 0;
     for (number, pose) in poses.iter().enumerate() {
         let positions = shaped.pose(pose);
@@ -167,7 +168,7 @@ pub(super) fn run<M: Mover>(
         }
         mover.advance(&positions, wind, 1.0 / fps)?;
         if number >= first {
-            crossed_body += u32::from(count_within(&positions, body.faces()) > at_rest);
+            crossed_body += u32::from(crosses(&positions));
             let garments = mover.garments();
             frames.push(frame(&shaped, pose, positions, garments, &header, wind)?);
         }
@@ -190,11 +191,12 @@ pub(super) fn run<M: Mover>(
 }
 
 /// Turns limbs away from the body and cuts the motion before the first frame
-/// in which one stays too close; says what it did.
+/// in which one stays too close or the body's skin crosses itself; says what it did.
 fn make_room(
     recipe: &Recipe,
     body: &Body,
     shaped: &ShapedBody,
+    crosses: &impl Fn(&[[f32; 3]]) -> bool,
     poses: &mut Vec<Pose>,
 ) -> Result<Vec<String>> {
     let Some(BodyGap { gap_m, .. }) = recipe.body_gap else {
@@ -214,6 +216,13 @@ fn make_room(
     if let Some(&first) = clearance.tight.first() {
         said.push(format!(
             "frames from {first} on were cut, lead-in included: a limb is nearer than {mm:.0} mm to the body"
+        ));
+        poses.truncate(first);
+    }
+    let crossed = (recipe.lead_in.still..poses.len()).find(|&k| crosses(&shaped.pose(&poses[k])));
+    if let Some(first) = crossed {
+        said.push(format!(
+            "frames from {first} on were cut, lead-in included: the body intersects itself more than in the fitting pose"
         ));
         poses.truncate(first);
     }
