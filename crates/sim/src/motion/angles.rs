@@ -22,6 +22,8 @@ pub(super) struct Limbs {
     pub elbow_flexion: f64,
     /// A forward arm over to the other side.
     pub arm_cross: f64,
+    /// A bent forearm over to the other side.
+    pub elbow_cross: f64,
 }
 
 /// Angles of the whole body in radians, relative to the rest pose.
@@ -88,7 +90,11 @@ pub(super) fn pose_from_angles(body: &Body, rest: &Pose, angles: &Angles) -> Res
                 * DQuat::from_rotation_x(-limbs.arm_swing)
                 * DQuat::from_rotation_y(outward * limbs.arm_raise),
         )?;
-        turn(names[4], DQuat::from_rotation_x(-limbs.elbow_flexion))?;
+        turn(
+            names[4],
+            DQuat::from_rotation_z(outward * limbs.elbow_cross)
+                * DQuat::from_rotation_x(-limbs.elbow_flexion),
+        )?;
     }
     Ok(pose)
 }

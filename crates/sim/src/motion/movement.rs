@@ -7,6 +7,10 @@ use serde::{Deserialize, Serialize};
 use super::angles::Angles;
 use super::smooth_step;
 
+/// Raise and swing of the arm, flexion and cross of the elbow of arms that cross, for each
+/// radian of the arm's cross: left, in front and higher up, and right.
+const CROSSED: [[f64; 4]; 2] = [[0.23, 0.50, 0.48, 0.81], [-0.01, 0.22, 0.21, 0.80]];
+
 /// One movement. Angles in degrees, times in seconds; `phase` is a share of the period.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
@@ -147,7 +151,7 @@ pub enum Movement {
     },
     /// Arms cross in front of the chest and open again.
     CrossArms {
-        /// How far each arm crosses over.
+        /// Turn of the arms to the other side; 57 crosses the forearms in the middle.
         angle_deg: f64,
         /// Closed and open.
         period_s: f64,
@@ -395,12 +399,13 @@ impl Movement {
                 period_s,
                 phase,
             } => {
-                let share = pulse(period_s, phase);
-                for (limbs, higher) in angles.limbs.iter_mut().zip([0.14, -0.14]) {
-                    limbs.arm_swing += (1.0 + higher) * share;
-                    limbs.arm_raise += 0.3 * share;
-                    limbs.arm_cross += angle_deg.to_radians() * share;
-                    limbs.elbow_flexion += 0.35 * share;
+                let across = angle_deg.to_radians() * pulse(period_s, phase);
+                for (limbs, arm) in angles.limbs.iter_mut().zip(CROSSED) {
+                    limbs.arm_raise += arm[0] * across;
+                    limbs.arm_swing += arm[1] * across;
+                    limbs.arm_cross += across;
+                    limbs.elbow_flexion += arm[2] * across;
+                    limbs.elbow_cross += arm[3] * across;
                 }
             }
         }
