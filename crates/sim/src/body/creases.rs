@@ -18,10 +18,10 @@ const BLUNT: f64 = 0.5;
 /// Cosines in the pose at which smoothing begins and is whole.
 const SHARP: [f64; 2] = [0.3, -0.3];
 /// So many edges far the neighbourhood of a crease is smoothed too, each time by this share of the one before.
-const SPREAD: usize = 2;
+const SPREAD: usize = 3;
 const FADES: f64 = 0.8;
 /// Rounds of smoothing.
-const ROUNDS: usize = 4;
+const ROUNDS: usize = 8;
 
 /// Where skin may be smoothed.
 #[derive(Clone, Debug)]

@@ -13,8 +13,8 @@ use super::skinning::Joint;
 use crate::motion::smooth_step;
 
 /// From the halving plane to the flesh: half of two fabrics, each 4 mm from the skin, 3 mm
-/// apart, and their folds; units of 0.1 m.
-const ROOM: f64 = 0.085;
+/// apart, their folds, and what smoothing takes of it; units of 0.1 m.
+const ROOM: f64 = 0.11;
 /// How fast the room opens with the distance from the fold at rest.
 const OPENS: f64 = 0.5;
 /// Bends between which flesh begins to give way, in degrees.
