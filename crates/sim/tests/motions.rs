@@ -2,7 +2,7 @@
 
 use drape_dataset::random::stream;
 use drape_geometry::intersect::count_within;
-use drape_sim::body::{Body, Shape, ShapeRanges};
+use drape_sim::body::{Body, Pose, Shape, ShapeRanges};
 use drape_sim::garment::fitting_pose;
 use drape_sim::motion::{LeadIn, Motion, MotionFamily, Movement, keep_clear};
 use glam::DVec3;
@@ -199,6 +199,39 @@ fn flesh_gives_way_in_deep_squats_and_leaves_room_for_cloth() {
             let most = thigh.iter().chain(&calf).map(step).fold(0.0, f64::max);
             assert!(most < 1.5, "{most} units in a frame");
         }
+    }
+}
+
+#[test]
+fn arms_that_cross_do_so_in_front_of_the_chest_and_stay_clear_of_it() {
+    let body = Body::load().unwrap();
+    let lead = LeadIn { still: 0, ease: 1 };
+    let joint = |name| body.joint(name).unwrap();
+    let hands = ["LeftFingerBase", "RightFingerBase"].map(joint);
+    let chest = joint("Spine1");
+    for seed in 0..6 {
+        let mut draws = stream(seed, "arms");
+        let shaped = body.shaped(&ShapeRanges::default().sample(&mut draws));
+        let rest = fitting_pose(&body, &shaped).unwrap();
+        let motion = MotionFamily::CrossArms.sample(&mut draws);
+        let mut poses = motion.poses(&body, &shaped, &rest, 30.0, lead, 90).unwrap();
+        // Left hand to the right of the right one, both in front, seen from the chest.
+        let crossed = |pose: &Pose| {
+            let joints = shaped.joints(pose);
+            let (place, turn) = joints[chest.index()];
+            let [l, r] = hands.map(|hand| turn.inverse() * (joints[hand.index()].0 - place));
+            l.x < r.x && l.y < -1.0 && r.y < -1.0
+        };
+        let (some, all) = (
+            poses.iter().filter(|pose| crossed(pose)).count(),
+            poses.len(),
+        );
+        assert!(
+            (all / 10..all).contains(&some),
+            "crossed in {some} of {all} frames, seed {seed}: {motion:?}"
+        );
+        let found = keep_clear(&body, &shaped, &mut poses, 0, 0.04).unwrap();
+        assert!(found.tight.is_empty(), "seed {seed}: {found:?}");
     }
 }
 

@@ -144,7 +144,7 @@ impl Draw<'_> {
                 phase: self.phase(),
             }],
             MotionFamily::CrossArms => vec![Movement::CrossArms {
-                angle_deg: self.between(45.0, 62.0),
+                angle_deg: self.between(55.0, 63.0),
                 period_s: self.between(1.6, 2.6),
                 phase: self.phase(),
             }],
