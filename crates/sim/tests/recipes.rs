@@ -93,6 +93,7 @@ fn a_motion_is_cut_before_the_body_crosses_itself_if_room_is_asked_for() {
             ..Motion::default()
         },
         lead_in: LeadIn { still: 1, ease: 4 },
+        body_gap: None,
         ..drawn(0)
     };
     plain.garments.truncate(1);

@@ -96,6 +96,8 @@ pub fn keep_clear(
     let mut out = Clearance::default();
     // Twice: a limb that made room for another may have come close to a third part.
     for _ in 0..2 {
+        let turned_before = out.turned.len();
+        out.tight.clear();
         for limb in &limbs {
             let tight: Vec<usize> = (still..poses.len())
                 .filter(|&frame| limb.is_tight(&shaped.pose(&poses[frame]), body.faces(), gap))
@@ -112,17 +114,24 @@ pub fn keep_clear(
                     out.turned.push(frame);
                 }
             }
+            out.tight.extend(tight);
         }
+        // Nothing moved, so what was found is what there is.
+        if out.turned.len() == turned_before {
+            break;
+        }
+        let is_tight = |pose: &Pose| {
+            let positions = shaped.pose(pose);
+            limbs
+                .iter()
+                .any(|limb| limb.is_tight(&positions, body.faces(), gap))
+        };
+        out.tight = (still..poses.len())
+            .filter(|&frame| is_tight(&poses[frame]))
+            .collect();
     }
-    let is_tight = |pose: &Pose| {
-        let positions = shaped.pose(pose);
-        limbs
-            .iter()
-            .any(|limb| limb.is_tight(&positions, body.faces(), gap))
-    };
-    out.tight = (still..poses.len())
-        .filter(|&frame| is_tight(&poses[frame]))
-        .collect();
+    out.tight.sort_unstable();
+    out.tight.dedup();
     out.turned.sort_unstable();
     out.turned.dedup();
     Ok(out)
@@ -194,7 +203,23 @@ impl Limb {
                 p[k] += gap as f32 * n[k];
             }
         }
-        count_between(&grown, &self.faces, positions, &self.others) > 0
+        // Only what is within the box around the limb can meet it.
+        let mut low = [f32::INFINITY; 3];
+        let mut high = [f32::NEG_INFINITY; 3];
+        for &v in self.faces.iter().flatten() {
+            for k in 0..3 {
+                low[k] = low[k].min(grown[v as usize][k]);
+                high[k] = high[k].max(grown[v as usize][k]);
+            }
+        }
+        let in_reach = |face: &&[u32; 3]| {
+            (0..3).all(|k| {
+                let x = face.map(|v| positions[v as usize][k]);
+                x.iter().any(|x| *x >= low[k]) && x.iter().any(|x| *x <= high[k])
+            })
+        };
+        let others: Vec<[u32; 3]> = self.others.iter().filter(in_reach).copied().collect();
+        count_between(&grown, &self.faces, positions, &others) > 0
     }
 
     /// The smallest turn that frees all of the poses.

@@ -33,9 +33,9 @@ pub struct SceneRanges {
     pub motions: Vec<MotionFamily>,
     /// BVH files with recorded motions; sequences take them and the families in turn.
     pub clips: Vec<PathBuf>,
-    /// Gap in metres that limbs keep from the rest of the body: at least 0.004,
-    /// more where cloth lies between.
-    /// 0 leaves the motions as they are.
+    /// Gap in metres that limbs keep from the rest of the body, more where cloth lies
+    /// between; motions are cut before a frame in which they do not, or in which the body
+    /// crosses itself. 0 leaves the motions as they are.
     pub body_gap_m: f64,
     /// Units of time and force.
     pub units: Units,
@@ -97,7 +97,7 @@ impl Default for SceneRanges {
             cuts: CutRange::Common,
             motions: vec![MotionFamily::Mixed],
             clips: Vec::new(),
-            body_gap_m: 0.0,
+            body_gap_m: 0.004,
             units: Units::Real,
             fps: 30.0,
             outfit_vertices: 1650.0,

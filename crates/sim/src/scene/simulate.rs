@@ -168,7 +168,9 @@ pub(super) fn run<M: Mover>(
         }
         mover.advance(&positions, wind, 1.0 / fps)?;
         if number >= first {
-            crossed_body += u32::from(crosses(&positions));
+            // With room asked for, such frames are cut already.
+            let crossed = recipe.body_gap.is_none() && crosses(&positions);
+            crossed_body += u32::from(crossed);
             let garments = mover.garments();
             frames.push(frame(&shaped, pose, positions, garments, &header, wind)?);
         }
