@@ -13,6 +13,7 @@
 
 use std::ops::Range;
 
+use drape_geometry::bvh::Aabb;
 use drape_geometry::intersect::count_between;
 use drape_geometry::normals::vertex_normals;
 use glam::{DQuat, DVec3};
@@ -94,10 +95,10 @@ pub fn keep_clear(
 ) -> Result<Clearance> {
     let limbs = limbs(body, shaped)?;
     let mut out = Clearance::default();
+    let mut clear = false;
     // Twice: a limb that made room for another may have come close to a third part.
     for _ in 0..2 {
-        let turned_before = out.turned.len();
-        out.tight.clear();
+        clear = true;
         for limb in &limbs {
             let tight: Vec<usize> = (still..poses.len())
                 .filter(|&frame| limb.is_tight(&shaped.pose(&poses[frame]), body.faces(), gap))
@@ -114,12 +115,13 @@ pub fn keep_clear(
                     out.turned.push(frame);
                 }
             }
-            out.tight.extend(tight);
+            clear &= tight.is_empty();
         }
-        // Nothing moved, so what was found is what there is.
-        if out.turned.len() == turned_before {
+        if clear {
             break;
         }
+    }
+    if !clear {
         let is_tight = |pose: &Pose| {
             let positions = shaped.pose(pose);
             limbs
@@ -130,8 +132,6 @@ pub fn keep_clear(
             .filter(|&frame| is_tight(&poses[frame]))
             .collect();
     }
-    out.tight.sort_unstable();
-    out.tight.dedup();
     out.turned.sort_unstable();
     out.turned.dedup();
     Ok(out)
@@ -203,21 +203,15 @@ impl Limb {
                 p[k] += gap as f32 * n[k];
             }
         }
-        // Only what is within the box around the limb can meet it.
-        let mut low = [f32::INFINITY; 3];
-        let mut high = [f32::NEG_INFINITY; 3];
-        for &v in self.faces.iter().flatten() {
-            for k in 0..3 {
-                low[k] = low[k].min(grown[v as usize][k]);
-                high[k] = high[k].max(grown[v as usize][k]);
-            }
-        }
-        let in_reach = |face: &&[u32; 3]| {
-            (0..3).all(|k| {
-                let x = face.map(|v| positions[v as usize][k]);
-                x.iter().any(|x| *x >= low[k]) && x.iter().any(|x| *x <= high[k])
-            })
+        let around = |faces: &[[u32; 3]], positions: &[[f32; 3]]| {
+            let boxes = faces
+                .iter()
+                .map(|f| Aabb::of(&f.map(|v| positions[v as usize])));
+            boxes.fold(Aabb::EMPTY, |all, one| all.union(&one))
         };
+        let limb = around(&self.faces, &grown);
+        // Only what is within the box around the limb can meet it.
+        let in_reach = |face: &&[u32; 3]| around(&[**face], positions).overlaps(&limb);
         let others: Vec<[u32; 3]> = self.others.iter().filter(in_reach).copied().collect();
         count_between(&grown, &self.faces, positions, &others) > 0
     }
